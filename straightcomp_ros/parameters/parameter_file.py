@@ -39,24 +39,36 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
 
     As for rcl, a key of the file is a node's full name, with ``*`` for one level and ``**`` for any (``/**/driver``,
     ``driver``), or ``/**`` for all; other nodes' sections are left out, and of several with a parameter the last
-    counts. The description of the stage, which it gives to all nodes, has the key :data:`STAGE` here. Parameters that
-    ROS itself declares on every node are left out.
+    counts, where those of one key are one, at the place of the first. The description of the stage, which it gives to
+    all nodes, has the key :data:`STAGE` here. Parameters that ROS itself declares on every node are left out.
 
     Raises:
         ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
         OtherNamespaceError: it has sections for other namespaces only.
     """
-    source = f"parameter file {path}"
+    return _values_of(path, _sections_of(path), namespace)
+
+
+def _sections_of(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
     try:
-        sections = node_sections(Path(path))
+        return node_sections(Path(path))
     except OSError as error:
-        raise ParameterError(f"{source}: cannot be read: {error.strerror}") from error
+        raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
     except ParameterError as error:
-        raise ParameterError(f"{source}: {error}") from error
+        raise ParameterError(f"parameter file {path}: {error}") from error
+
+
+def _values_of(
+    path: str | Path, sections: Iterable[tuple[str, dict[str, Any]]], namespace: str
+) -> dict[str, dict[str, Any]]:
+    source = f"parameter file {path}"
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
     before = "".join(f"/{level}" for level in namespace.split("/") if level)
+    joined: dict[str, dict[str, Any]] = {}
+    for key, given in sections:
+        joined.setdefault(key, {}).update(given)
     foreign = []
-    for key, every in sections:
+    for key, every in joined.items():
         name = key.rsplit("/", 1)[-1]
         given = {parameter: value for parameter, value in every.items() if not belongs_to_ros(parameter)}
         if name not in (*NODE_PARAMETERS, *_LEVELS):
@@ -72,21 +84,15 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
                 group, _, rest = parameter.partition(".")
                 if group != STAGE or not rest:
                     raise ParameterError(f"{source}: '{parameter}' under '{key}'; allowed for all nodes: {STAGE}.…")
-                _describe(values, {rest: value})
-    if foreign and len(foreign) == len(sections):
+                values[STAGE][rest] = value
+                for node in NODE_PARAMETERS:
+                    values[node].pop(parameter, None)
+    if foreign and len(foreign) == len(joined):
         place = f"namespace {before}" if before else "no namespace"
         raise OtherNamespaceError(
             f"{source}: is for other nodes than those in {place}: {', '.join(foreign)}; allowed: {ALL_NODES}/NODE"
         )
     return values
-
-
-def _describe(values: dict[str, dict[str, Any]], described: Mapping[str, Any]) -> None:
-    """Give all nodes these facts of the stage, also those that an earlier section gave another one."""
-    values[STAGE].update(described)
-    for node in NODE_PARAMETERS:
-        for name in described:
-            values[node].pop(f"{STAGE}.{name}", None)
 
 
 def read_stage_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
@@ -128,17 +134,23 @@ def file_digests(values: Values) -> dict[str, str]:
 def shipped_parameters(
     params_file: str | None = None, stage: str | None = None, namespace: str = ""
 ) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name of a parameter file and a stage file for nodes in ``namespace``; the installed
-    ones by default.
+    """Values by node and dotted name of a parameter file and a stage file for nodes in ``namespace``, as rcl joins
+    them; the installed ones by default.
 
     A parameter file that is named describes the stage too, unless there is a ``stage`` file.
     """
-    values = read_parameter_file(params_file or share_path(DEFAULT_FILE), namespace)
+    path = params_file or share_path(DEFAULT_FILE)
+    sections = _sections_of(path)
+    values = _values_of(path, sections, namespace)
     if stage or not params_file:
-        described = read_stage_file(stage or share_path(DEFAULT_STAGE), namespace)
-        _describe(values, described[STAGE])
-        for node in NODE_PARAMETERS:
-            values[node].update(described[node])
+        path = stage or share_path(DEFAULT_STAGE)
+        described = _sections_of(path)
+        own = _values_of(path, described, namespace)
+        values = _values_of(path, [*sections, *described], namespace)
+        for node, found in files_beside(path, own).items():
+            values[node].update(
+                {name: full for name, full in found.items() if values[node].get(name) == own[node][name]}
+            )
     return values
 
 

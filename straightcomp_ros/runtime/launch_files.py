@@ -23,14 +23,15 @@ from launch_ros.substitutions import FindPackageShare
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import STAGE
 from straightcomp_ros.parameters.parameter_file import (
+    ALL_NODES,
     DEFAULT_FILE,
     DEFAULT_STAGE,
     OtherNamespaceError,
-    as_parameter_file,
     files_beside,
     read_parameter_file,
 )
 from straightcomp_ros.parameters.share import PACKAGE
+from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml
 
 SHARE = FindPackageShare(PACKAGE)
 _SHIPPED_FILE, _SHIPPED_STAGE = (
@@ -94,9 +95,11 @@ def launched_composed() -> LaunchDescription:
 
     def actions(context: LaunchContext) -> list[object]:
         given = {name: _given(context, name, overrides) for name, overrides in IN_THE_LOOP.items()}
-        # A parameter of the process would be one of all its nodes: only a file says which node it is for.
+        # A parameter of the process would be one of all its nodes: only a file says which node it is for. rcl takes the
+        # last section, but lets those of one key be one at the place of the first: no other file has these keys.
+        sections = {f"{ALL_NODES}/**/{name}": {PARAMETERS: values} for name, values in given.items() if values}
         with tempfile.NamedTemporaryFile("w", prefix="servo_", suffix=".yaml", delete=False) as file:
-            file.write(as_parameter_file(given))
+            file.write(dump_yaml(sections))
         remove = OpaqueFunction(function=lambda _: Path(file.name).unlink(missing_ok=True))
         return _started(context, "servo_node", [file.name], remove)
 

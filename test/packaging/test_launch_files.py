@@ -5,6 +5,7 @@ fails here. What launch does with the actions is not tested.
 """
 
 import os
+import re
 import runpy
 import sys
 import tempfile
@@ -17,6 +18,7 @@ from places import REPOSITORY
 from straightcomp_ros.parameters.declaration import ParameterError, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.parameters.parameter_file import DEFAULT_FILE, DEFAULT_STAGE, read_parameter_file
+from straightcomp_ros.parameters.yaml_text import node_sections
 
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 CELL = REPOSITORY / "launch" / "cell.launch.py"
@@ -226,6 +228,33 @@ def test_a_file_for_another_namespace_only_starts_no_node(stage, argument, compo
     stage.write_text(stage.read_text().replace("/**", "left/**"))
     with pytest.raises(ParameterError, match=rf"{stage}: .*no namespace.*left/\*\*"):
         entities(CELL, {argument: str(stage), "composed": composed})
+
+
+def taken(node, files):
+    """Parameters of a node, by its full name, as rcl and rclpy take them: rcl joins sections of one key at the place of
+    the first, and rclpy goes through them in this order."""
+    joined = {}
+    for file in files:
+        for key, given in node_sections(Path(file)):
+            joined.setdefault(key, {}).update(given)
+    matching = [given for key, given in joined.items() if re.fullmatch(key.replace("/*", r"(/\w+)"), node)]
+    return {name: value for given in matching for name, value in given.items()}
+
+
+@pytest.mark.parametrize("params_file", [SHIPPED, "own.yaml"])
+@pytest.mark.parametrize("namespace", ["", "left"])
+def test_a_composed_cell_takes_its_overrides_after_all_sections_of_the_files(stage, namespace, params_file):
+    own = stage.with_name("own.yaml")
+    own.write_text(f"{{/**: {{ros__parameters: {{stage.rate: 500}}}}, {namespace}/driver: {{ros__parameters: {{}}}}}}")
+    file = params_file if params_file == SHIPPED else str(own)
+    given = {"params_file": file, "stage": str(stage), "map": "other.csv", "namespace": namespace, "law": "smc"}
+    [servo, *_] = of_kind("Node", CELL, **given, composed="true")
+    files = [file, str(stage), servo.kwargs["parameters"][-1]]
+    full = f"/{namespace}" if namespace else ""
+    survey = str(stage.with_name("guide.csv"))
+    for node, expected in (("driver", survey), ("feedforward", "other.csv"), ("controller", survey)):
+        assert taken(f"{full}/{node}", files)["stage.guide.file"] == expected
+    assert taken(f"{full}/controller", files)["control.law"] == "smc"
 
 
 def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(stage):

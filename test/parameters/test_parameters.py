@@ -224,15 +224,33 @@ def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alon
 COMMON, OWN = {"/**": 4.0}, {"/**/driver": 5.0}
 
 
-@pytest.mark.parametrize(("sections", "mass"), [(COMMON | OWN, 5.0), (OWN | COMMON, 4.0)])
-def test_of_several_sections_and_files_with_a_fact_the_last_counts_as_for_a_node(tmp_path, sections, mass):
+@pytest.mark.parametrize(
+    ("sections", "behind", "mass", "together"),
+    [
+        (OWN | COMMON, {"/**": 6.0}, 4.0, 6.0),
+        (OWN | COMMON, {"/**": 6.0, "driver": 7.0}, 4.0, 7.0),
+        # Sections of one key are one, at the place of the first.
+        (COMMON | OWN, {"/**": 6.0}, 5.0, 5.0),
+        (COMMON, {"/**/driver": 7.0}, 4.0, 7.0),
+        (OWN, {"/**": 6.0, "/**/driver": 7.0}, 5.0, 6.0),
+        (OWN, {"/**": {"driver": 7.0}}, 5.0, 7.0),
+    ],
+)
+def test_of_several_sections_and_files_with_a_fact_that_counts_which_a_node_takes(
+    tmp_path, sections, behind, mass, together
+):
     path, stage = tmp_path / "p.yaml", tmp_path / "stage.yaml"
-    for file, given in ((path, sections), (stage, {"/**": 6.0})):
-        tree = {key: {"ros__parameters": {"stage.platform.mass": value}} for key, value in given.items()}
-        file.write_text(yaml.safe_dump(tree, sort_keys=False))
+
+    def section(given):
+        if isinstance(given, dict):
+            return {key: section(value) for key, value in given.items()}
+        return {"ros__parameters": {"stage.platform.mass": given}}
+
+    for file, given in ((path, sections), (stage, behind)):
+        file.write_text(yaml.safe_dump(section(given), sort_keys=False))
     assert node_parameters("driver", read_parameter_file(path)).stage.platform.mass == mass
     assert node_parameters("driver", shipped_parameters(str(path))).stage.platform.mass == mass
-    assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == 6.0
+    assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == together
 
 
 def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tmp_path, monkeypatch):
