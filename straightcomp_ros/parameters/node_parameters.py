@@ -1,5 +1,6 @@
 """The parameter set of each node, and how it is made of values by node: of files, the command line, a bag."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -18,6 +19,16 @@ from straightcomp_ros.stage.description import StageParameters, true_guide, true
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.timing.realtime import RealtimeParameters
+
+_NODE = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+def _check_nodes(names: str) -> None:
+    for name in names.split():
+        if not _NODE.fullmatch(name):
+            raise RefusedParameter(
+                "nodes", f"{name!r} is no name of a node; allowed: letters, digits, _ and /, and blanks between names"
+            )
 
 
 def _autostart() -> Any:
@@ -179,6 +190,9 @@ class LoggerNodeParameters(RecorderParameters):
     )
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
 
+    def __post_init__(self) -> None:
+        _check_nodes(self.nodes)
+
 
 @dataclass(frozen=True)
 class CellNodeParameters:
@@ -202,6 +216,9 @@ class CellNodeParameters:
     progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output while the stage moves")
     stage: StageParameters = group(StageParameters)
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
+
+    def __post_init__(self) -> None:
+        _check_nodes(self.nodes)
 
 
 @dataclass(frozen=True)
@@ -243,6 +260,9 @@ class OpcuaNodeParameters:
     opcua: OpcuaParameters = group(OpcuaParameters, "OPC UA server")
     stage: StageParameters = group(StageParameters)
     realtime: RealtimeParameters = group(RealtimeParameters, "Scheduling of this node")
+
+    def __post_init__(self) -> None:
+        _check_nodes(self.nodes)
 
 
 @dataclass(frozen=True)

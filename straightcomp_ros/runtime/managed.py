@@ -13,6 +13,7 @@ What takes longer than a cycle is done at normal priority: another graph's loop 
 
 import gc
 import time
+import traceback
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -22,6 +23,7 @@ from rclpy.serialization import serialize_message
 from rclpy.task import Future
 
 from straightcomp_ros.contract import HEARTBEAT
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.runtime.guarded_node import REFUSALS, GuardedNode, ThrottledWarning, refusal
 from straightcomp_ros.runtime.inside_rclpy import lifecycle_state, state_service, withdraw
 from straightcomp_ros.runtime.intra_process import IntraProcess
@@ -204,9 +206,13 @@ class ManagedNode(GuardedNode, LifecycleNode):
         """Do ``work`` and log its exception, which rclpy would swallow silently."""
         try:
             work()
-        except REFUSALS as error:
-            self._failure = error
-            self.get_logger().error(str(error))
+        except Exception as error:
+            if isinstance(error, REFUSALS):
+                self._failure = error
+            else:
+                self._failure = ParameterError(f"{type(error).__name__}: {error}")
+                self.get_logger().debug(traceback.format_exc())
+            self.get_logger().error(str(self._failure))
             return otherwise
         return TransitionCallbackReturn.SUCCESS
 

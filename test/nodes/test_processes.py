@@ -142,6 +142,8 @@ UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean '
         ("controller", "control.smc.rho", 0.1, "reaching condition (11)"),
         ("controller", "stage.rate", 1000, "the law 'smc' is unstable"),
         ("logger", "topics", "(", "parameter 'topics'"),
+        ("logger", "nodes", "driver, controller", "'driver,' is no name of a node; allowed: "),
+        ("cell", "nodes", "driver, controller", "'driver,' is no name of a node; allowed: "),
         ("cell", "stage.motion.speed", 0, "0.0 m/s is too small"),
     ],
 )
@@ -149,8 +151,17 @@ def test_an_unknown_parameter_or_refused_value_ends_a_node_with_code_2_and_what_
     refusal, node, name, value, words
 ):
     # The reaching condition is that of 'smc'.
-    law = {"control.law": "smc"} if node == "controller" else {}
-    assert words in refusal(node, **{**law, name: value})
+    others = {"controller": {"control.law": "smc"}, "cell": {"strokes": 33}}
+    assert words in refusal(node, **{**others.get(node, {}), name: value})
+
+
+def test_what_keeps_a_node_from_being_configured_ends_it_with_code_2_and_its_words_whatever_it_is(refusal, monkeypatch):
+    def fail(node, parameters):
+        raise ZeroDivisionError("nothing to divide by")
+
+    name, parameters, _ = MANAGED["logger"]
+    monkeypatch.setitem(MANAGED, "logger", (name, parameters, fail))
+    assert refusal("logger") == "logger: ZeroDivisionError: nothing to divide by"
 
 
 def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(single):

@@ -159,6 +159,15 @@ def test_what_is_refused_together_with_other_parameters_is_named_as_it_is_set(ca
     assert not {full.rpartition(".")[2] for full in others.split()} & set(re.findall(r"'(\w+)'", message)) - known
 
 
+@pytest.mark.parametrize("node", ["logger", "cell", "opcua"])
+def test_what_can_be_no_name_of_a_node_is_refused_where_nodes_are_listed(node):
+    for names in ("driver controller", "/left/driver", "driver_2", ""):
+        assert from_mapping(NODE_PARAMETERS[node], {"nodes": names}).nodes == names
+    for names in ("driver, controller", "driver/", "left//driver", "2nd", "Antrieb_ä"):
+        with pytest.raises(ParameterError, match=r"parameter 'nodes': .*allowed: "):
+            from_mapping(NODE_PARAMETERS[node], {"nodes": names})
+
+
 def checking(parameter_set):
     """The set and its groups that judge parameters together with others."""
     found = {parameter_set} if {"__post_init__", "check"} & set(vars(parameter_set)) else set()
