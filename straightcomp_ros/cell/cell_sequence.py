@@ -13,7 +13,9 @@ from typing import NamedTuple, NoReturn, Protocol
 
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
-from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, goals, jog, move
+from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
+from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, forward_and_back, goals, jog, move
+from straightcomp_ros.parameters.declaration import ParameterError
 
 MOST_STROKES = 1_000_000
 AMPLIFIER_OFF = "the amplifier went off"
@@ -38,6 +40,8 @@ _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
 _AT_START_M = 1e-6
 """From the start of a trajectory, which the driver allows."""
+_POINTS_TO_START = 8
+"""Most points of the way to the start of a trajectory: of a move with a limit of the jerk."""
 _FARTHEST_JOG_UM = 20_000_000
 _ARRIVED_SHARE = 0.9995
 """Fraction of a movement's time: in lockstep the last sample may come before the end of the motion."""
@@ -59,6 +63,17 @@ class Machine(Protocol):
 
 class WorkFailed(Exception):
     """The work of a state cannot be done; the message gives the reason."""
+
+
+def check_strokes(motion: MotionParameters, strokes: int) -> None:
+    """ParameterError if the trajectory of so many strokes, as one, has more points than the driver takes."""
+    each = len(forward_and_back(motion)) - 1
+    most = (MOST_POINTS - _POINTS_TO_START) // each
+    if strokes > most:
+        raise ParameterError(
+            f"parameter 'strokes': {strokes} with {each} points each ('stage.motion.steps', 'file', 'jerk') are no one "
+            f"trajectory of at most {MOST_POINTS} points; allowed: <= {most}"
+        )
 
 
 class StageMovements:

@@ -15,6 +15,7 @@ from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
+from straightcomp_ros.cell.cell_sequence import check_strokes
 from straightcomp_ros.cell.launcher import (
     IN_THE_LOOP,
     RECORDED,
@@ -190,6 +191,8 @@ def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequen
 def _cycle(values: Values, opcua_strokes: int) -> tuple[float, StraightnessMap]:
     """Duration of the cycle in s, and the map."""
     cell = node_parameters("cell", values)
+    if not opcua_strokes:
+        check_strokes(cell.stage.motion, cell.strokes)
     duration = cycles(cell.stage.motion, opcua_strokes or cell.strokes)[-1].time_ns * 1e-9
     return duration, load_map(cell.stage.guide)
 

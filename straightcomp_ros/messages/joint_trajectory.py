@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS
 
 MOST_POINTS = 10_000
-"""The most strokes of a cycle, 1000, have 10 points each."""
+"""The most strokes of a cycle, 1000, have 9 points each without a limit of the jerk."""
 _MOST_JOINTS, _MOST_LAYOUTS = 64, 16
 _ARRAYS = ("positions", "velocities", "accelerations", "effort")
 _LENGTH, _STAMP = struct.Struct("<I"), struct.Struct("<iI")

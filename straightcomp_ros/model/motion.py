@@ -180,10 +180,10 @@ def forward_and_back(motion: MotionParameters) -> list[Waypoint]:
 
 
 def cycles(motion: MotionParameters, count: int) -> list[Waypoint]:
-    """Waypoints of ``count`` cycles, one after the other."""
-    once = forward_and_back(motion)
+    """Waypoints of ``count`` cycles, one after the other, each from the last point of the one before."""
+    first, *once = forward_and_back(motion)
     end_ns = once[-1].time_ns
-    return [point._replace(time_ns=point.time_ns + cycle * end_ns) for cycle in range(count) for point in once]
+    return [first, *(point._replace(time_ns=point.time_ns + k * end_ns) for k in range(count) for point in once)]
 
 
 class Trajectory:

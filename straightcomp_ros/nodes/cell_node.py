@@ -10,7 +10,7 @@ from functools import partial
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from straightcomp_ros.cell.cell_sequence import AMPLIFIER_OFF, CellSequence
+from straightcomp_ros.cell.cell_sequence import AMPLIFIER_OFF, CellSequence, check_strokes
 from straightcomp_ros.cell.launcher import IN_THE_LOOP
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, State, name
@@ -41,6 +41,7 @@ class CellNode(Runnable):
 
     def __init__(self, node: GuardedNode) -> None:
         self._parameters = parameters = declare(node, CellNodeParameters)
+        check_strokes(parameters.stage.motion, parameters.strokes)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         self._graph = GraphClient(
             node,

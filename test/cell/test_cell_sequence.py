@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from straightcomp_ros.cell.cell_sequence import CellSequence
+from straightcomp_ros.cell.cell_sequence import CellSequence, StageMovements, check_strokes
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, jog
+from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back, jog
 from straightcomp_ros.model.paced_motion import PacedMotion
+from straightcomp_ros.parameters.declaration import ParameterError
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
 TICK_S = 0.05
@@ -137,6 +139,20 @@ def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_their_time_and_
     assert way == [State.STARTING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert [goal for _, goal in bench.moves] == movements and 0.0 <= bench.now - bench.moves[-1][0] < 0.5
     assert bench.sequence.movements.strokes_done == 2 and not bench.seen.amplifier_on
+
+
+@pytest.mark.parametrize("changes", [{}, {"jerk": 20.0}, {"steps": 100}])
+def test_as_many_strokes_are_accepted_as_one_trajectory_as_the_driver_takes_from_wherever_the_stage_stands(changes):
+    motion, most = replace(MOTION, **changes), 0
+    with pytest.raises(ParameterError, match=r"parameter 'strokes': .*allowed: <= "):
+        while True:
+            check_strokes(motion, most + 1)
+            most += 1
+    moves = StageMovements(motion, as_one=True)
+    moves.begin(most)
+    count = len(moves.next(Observation(x=0.05), 0.0))
+    assert count <= MOST_POINTS < count + len(forward_and_back(motion)) + 8
+    assert most >= 1000 or changes
 
 
 @pytest.mark.parametrize("as_one", [False, True])

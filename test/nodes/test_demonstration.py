@@ -19,6 +19,7 @@ from straightcomp_ros.cell.launcher import RECORDED, Graph
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.straightness.survey import write_survey
 from trials.noise import Kind, surveyed
 
@@ -67,6 +68,15 @@ def test_a_live_stroke_is_recorded_compensated_and_audited_with_each_law_and_tri
     assert seen == sorted(seen) and seen[-1] > 0.99
     found = audit(result.bag)
     assert found.passed and found.commands > 0.5 * figures["expected_samples"]
+
+
+def test_more_strokes_than_fit_one_trajectory_are_refused_before_anything_starts(tmp_path, short_cycle):
+    short_cycle["stage"]["motion.steps"], short_cycle["cell"]["strokes"] = 100, 33
+    with pytest.raises(ParameterError, match="parameter 'strokes': 33 "):
+        demonstrate(short_cycle, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+    # A client of the gateway moves the stage by one movement after the other.
+    assert demonstration._cycle(short_cycle, 33)[0] > 60.0
 
 
 @pytest.mark.live

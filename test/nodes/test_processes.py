@@ -145,6 +145,7 @@ UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean '
         ("logger", "nodes", "driver, controller", "'driver,' is no name of a node; allowed: "),
         ("cell", "nodes", "driver, controller", "'driver,' is no name of a node; allowed: "),
         ("cell", "stage.motion.speed", 0, "0.0 m/s is too small"),
+        ("cell", "stage.motion.steps", 100, "parameter 'strokes': 33 "),
     ],
 )
 def test_an_unknown_parameter_or_refused_value_ends_a_node_with_code_2_and_what_is_allowed(
