@@ -346,7 +346,7 @@ class CellSequence:
         yield from work
 
     def _resetting(self) -> Iterator[None]:
-        ready_since, waits_since, waits_for = self.now, self.now, ""
+        ready_since, waits_since, waits_for, homes = self.now, self.now, "", False
         while True:
             obstacle = self.seen.obstacle or self.machine.obstacle
             if not obstacle and self.seen.unreferenced:
@@ -362,7 +362,10 @@ class CellSequence:
                 waits_for, self.message = obstacle, f"waits: {obstacle}" if obstacle else ""
             if obstacle:
                 ready_since = self.now
-                if self.seen.starting and not self._overdue(_STARTED_WITHIN_S):
+                moves = self.seen.fresh and (self.seen.stage == "moving" or not self.seen.still)
+                # Until it stands again: from its index the stage goes to the start.
+                homes = moves and (homes or bool(self.seen.unreferenced))
+                if homes or (self.seen.starting and not self._overdue(_STARTED_WITHIN_S)):
                     waits_since = self.now
                 if self.now - waits_since > self.start_timeout:
                     raise WorkFailed(f"not ready: {obstacle}")

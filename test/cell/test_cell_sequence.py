@@ -246,6 +246,19 @@ def test_a_machine_that_is_idle_has_a_reference_of_x_and_its_amplifier_off_howev
     assert bench.seen.unreferenced == "" and not bench.seen.amplifier_on
 
 
+def test_a_stage_that_homes_for_longer_than_the_start_timeout_is_awaited_until_it_stands():
+    bench = Bench()
+    bench.see(unreferenced="the machine has not been homed")
+    bench.motion.begin(Trajectory(jog(MOTION, 0.0, 5.0)), round(bench.now * 1e9))
+    assert not bench.sequence.command(Command.RESET)
+    bench.ticks(140)
+    # At its index; from there it goes to the start.
+    bench.see(unreferenced="")
+    bench.ticks(140)
+    assert bench.sequence.state is State.RESETTING and bench.seen.stage == "moving"
+    assert bench.until(State.IDLE) == [State.RESETTING, State.IDLE]
+
+
 def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_for_the_start_timeout_only():
     bench = Bench()
     bench.activate = lambda: None
