@@ -9,9 +9,11 @@ ABSENT, STARTING, SILENT, PLAIN = "absent", "starting", "silent", "plain"
 """States of a node that reports no lifecycle state: it does not run, has not been active yet (it loads or compiles),
 does not answer, or has no lifecycle."""
 _WORKING = ("active", PLAIN)
-_LOOK_BACK_NS = 100_000_000
-_STILL_M = 50e-6
-"""Smaller distances in the look-back time count as standstill: 0.5 mm/s, far above the encoder's noise."""
+_LOOK_BACK_S, _LONGEST_LOOK_BACK_S = 0.1, 10.0
+_STILL_M, _LEAST_COUNTS = 50e-6, 8.0
+"""Smaller distances in the look-back time count as standstill: 0.5 mm/s; of slower strokes half of their way in that
+time, and at their end a quarter. The time is longer where half of the way is less than twice what the difference of two
+readings may change by at rest."""
 _MOVEMENTS, _WAITING = 4, 20_000
 """Newest movements, and errors without a position yet, that are kept: 10 s at 2 kHz."""
 
@@ -38,7 +40,7 @@ class Observation:
     stage: str = "rest"  # of its motion as the driver reports it: rest, moving, stopping, held; empty while it does not
     override: float = 1.0  # fraction of the speed of the stage's motions
     behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest
-    still: bool = True  # the stage has not moved for a tenth of a second
+    still: bool = True  # the stage has not moved for a tenth of a second, or a longer time where its strokes are slow
     error: float = math.nan  # newest compensation error in m
     sliding_variable: float = math.nan  # newest, m/s
     stroke_error_pp: float = math.nan  # peak-to-peak error over the stage's last finished movement, m
@@ -108,6 +110,7 @@ class StrokeErrors:
 
     def __init__(self) -> None:
         self.still = True  # the stage is at rest
+        self.expect(math.inf, 0.0)
         self._positions: deque[tuple[int, float]] = deque()
         self._errors: deque[tuple[int, float]] = deque(maxlen=_WAITING)
         """Those that are newer than the newest position."""
@@ -118,6 +121,14 @@ class StrokeErrors:
         """Error over the last finished movement in m; NaN without one, or without an error of its time."""
         finished = [one.highest - one.lowest for one in self._movements if one.end_ns < math.inf]
         return finished[-1] if finished and finished[-1] >= 0.0 else math.nan
+
+    def expect(self, speed: float, count: float) -> None:
+        """Expect strokes of ``speed`` (m/s), seen by an encoder with this ``count`` (m)."""
+        least, way = _LEAST_COUNTS * count, 0.5 * speed
+        seconds = min(max(_LOOK_BACK_S, least / way), _LONGEST_LOOK_BACK_S)
+        self._look_back_ns = round(seconds * 1e9)
+        self._begins = min(_STILL_M, max(way * seconds, least))
+        self._ends = self._begins if self._begins == _STILL_M else 0.5 * self._begins
 
     def add(self, positions: Iterable[tuple[int, float]], errors: Iterable[tuple[int, float]]) -> None:
         """Add positions of the stage and compensation errors, each with its stamp in ns, in m."""
@@ -137,9 +148,9 @@ class StrokeErrors:
             self._movements.clear()
         positions.append((stamp_ns, x))
         # One that is older stays: where samples are missing the stage has not stopped.
-        while len(positions) > 1 and stamp_ns - positions[1][0] >= _LOOK_BACK_NS:
+        while len(positions) > 1 and stamp_ns - positions[1][0] >= self._look_back_ns:
             positions.popleft()
-        still = abs(x - positions[0][1]) < _STILL_M
+        still = abs(x - positions[0][1]) < (self._begins if self.still else self._ends)
         if self.still and not still:
             self._movements.append(_Movement(stamp_ns))
         elif still and not self.still and self._movements:

@@ -52,6 +52,7 @@ class CellNode(Runnable):
             description=parameters.stage.identity,
             silent_after=parameters.heartbeat_timeout,
         )
+        self._graph.expect_strokes(parameters.stage.motion.speed, parameters.stage.encoder.x_resolution)
         self._seen = Observation()
         self._sequence = CellSequence(
             self._graph,

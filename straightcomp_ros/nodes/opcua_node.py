@@ -37,6 +37,7 @@ class OpcuaNode(Runnable):
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         names = parameters.nodes.split()
         self._graph = GraphClient(node, names, description=parameters.stage.identity)
+        self._graph.expect_strokes(parameters.stage.motion.speed, parameters.stage.encoder.x_resolution)
         self._remote = RemoteParameters(node, ["driver"])
         self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)

@@ -114,6 +114,8 @@ class ViewNode(Runnable):
             for node, state in seen.nodes.items()
         }
         driver = self._driver.values.get("driver", {})
+        if driver:
+            self._graph.expect_strokes(driver["stage.motion.speed"], driver["stage.encoder.x_resolution"])
         named = f"stage “{driver['stage.name']}”, hardware {driver['hardware']}" if driver else ""
         self._board.show(
             {

@@ -264,6 +264,10 @@ class GraphClient:
         """Count the absence of a first sample as silence from now on."""
         self._last_came = min(self._last_came, time.monotonic())
 
+    def expect_strokes(self, speed: float, count: float) -> None:
+        """Tell the stage's strokes of ``speed`` (m/s) from rest, by readings in counts of ``count`` (m)."""
+        self._strokes.expect(speed, count)
+
     def fetch(self) -> Mapping[Stream, Messages]:
         """Take the messages that have arrived; call it at least ten times a second."""
         fetched: dict[Stream, Messages] = {stream: queue.fetch() for stream, queue in self._queues.items()}

@@ -36,6 +36,28 @@ def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count(p
     assert strokes.last_pp == pytest.approx(3e-6)
 
 
+@pytest.mark.parametrize("speed", [1e-4, 1e-5, 2e-7])
+def test_slow_strokes_are_seen_as_far_as_the_encoder_shows_them(speed):
+    strokes = StrokeErrors()
+    strokes.expect(speed, 1e-7)
+    still, moving = 3000, 6000
+    way = [0.004 * speed * min(max(number - still, 0), moving) for number in range(2 * still + moving)]
+
+    def error(number):
+        inside = still + 1500 < number < still + moving - 1500
+        return (1e-6 if number % 2 else -2e-6) if inside else (9e-6 if number < still else 0.0)
+
+    # The reading jumps by a count at rest.
+    positions = [1e-7 * (round(x / 1e-7) + number % 2) for number, x in enumerate(way)]
+    run(strokes, positions[: still + 3000], error)
+    assert not strokes.still
+    strokes = StrokeErrors()
+    strokes.expect(speed, 1e-7)
+    run(strokes, positions, error)
+    assert strokes.still
+    assert strokes.last_pp == pytest.approx(3e-6)
+
+
 def test_a_movement_of_which_samples_are_missing_is_one():
     strokes = StrokeErrors()
     for number in (*range(250, 300), *range(400, 450)):
