@@ -109,7 +109,7 @@ class SimulatedHardware(Hardware):
             self.unreferenced = "the machine has not been homed since it was switched on"
         self._delay_ns = round(stage.drive.delay * self.period_ns)
         self._time_ns = self._next_sample_ns = self._last_command_ns = 0
-        self.motion = PacedMotion(stage.motion, x)
+        self.motion = PacedMotion(stage.motion, x, plant.encoder.x_resolution)
         self._memory = max(1, round(parameters.sample_memory * stage.rate))
 
     def start(self, now_ns: int) -> None:

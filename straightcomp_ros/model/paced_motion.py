@@ -26,6 +26,8 @@ _LEAST_SPEED = 1e-9
 """m/s, in place of zero as a divisor."""
 _SAME_SPEED = 1e-6
 """Difference in m/s that no step of the acceleration shows: of 2 mm/s² within a sample."""
+_NEAR = 1e-6
+"""m from the stage, or from a reading of x, which is half a count off: so far a trajectory may begin from it."""
 _KNOTS = 32
 """Of the way to a trajectory that begins later: between them the quintic is followed by cubics."""
 _RESERVE = 0.5
@@ -41,7 +43,8 @@ class Pace(NamedTuple):
 
 
 class PacedMotion:
-    """A stage at rest at ``x`` (m) that takes trajectories; times in ns are of one clock and do not go back.
+    """A stage at rest at ``x`` (m) that takes trajectories; times in ns are of one clock and do not go back. ``count``
+    (m) is that of the encoder of x, at whose readings trajectories begin.
 
     A motion is cut short from the first request for another pace until it ends. What is to be learned from the error of
     strokes is not learned from it.
@@ -53,7 +56,8 @@ class PacedMotion:
         ended: whether the last one was ended on its way.
     """
 
-    def __init__(self, motion: MotionParameters, x: float = 0.0) -> None:
+    def __init__(self, motion: MotionParameters, x: float = 0.0, count: float = 0.0) -> None:
+        self._near = _NEAR + 0.5 * count
         self._acceleration = motion.acceleration
         self._build = motion.acceleration / motion.jerk if motion.jerk else _BUILD_S
         self._set(Pace())
@@ -91,7 +95,7 @@ class PacedMotion:
         """
         trajectory, here = self.joined(trajectory, start_ns), self.position(start_ns)
         first = trajectory.position(0)
-        if abs(first - here) > 1e-6:
+        if abs(first - here) > self._near:
             raise ValueError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
         moving, speed = self.moving, trajectory.rates(0)[0]
         if abs(speed - self._velocity) > _SAME_SPEED:

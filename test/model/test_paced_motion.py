@@ -76,6 +76,18 @@ def test_whatever_is_asked_the_stage_keeps_its_limits_stands_in_time_and_arrives
             assert abs(v[at + allowed]) < 1e-6
 
 
+@pytest.mark.parametrize("count", [1e-7, 5e-6, 1e-3])
+def test_a_motion_may_begin_where_the_encoder_reads_the_stage_to_be_and_nowhere_else(count):
+    parameters, x = MotionParameters(), 0.30049
+    motion, reading = PacedMotion(parameters, x, count), count * round(x / count)
+    for elsewhere in (reading + 2.0 * count, reading - 2.0 * count):
+        if abs(elsewhere - x) > 1e-6:
+            with pytest.raises(ValueError, match="starts at"):
+                motion.begin(Trajectory(jog(parameters, elsewhere, 0.1)), 0)
+    motion.begin(Trajectory(jog(parameters, reading, 0.1)), 0)
+    assert motion.position(10**10) == reading + 0.1
+
+
 def test_override_scales_the_speed_and_a_preset_one_holds_from_the_start():
     parameters = MotionParameters(stroke=0.3)
     motion = PacedMotion(parameters)
