@@ -6,6 +6,7 @@ and aborted at once: the protocol has no room for a reason in the refusal itself
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,6 @@ from straightcomp_ros.model.trajectory_goal import (
 )
 from straightcomp_ros.runtime.guarded_node import ThrottledWarning
 from straightcomp_ros.runtime.inside_rclpy import execute, set_executing
-from straightcomp_ros.runtime.loops import now_ns
 
 try:
     from control_msgs.action import FollowJointTrajectory
@@ -37,7 +37,8 @@ def read_by_stamp(message: bytes, joint: str) -> Trajectory:
     """The trajectory of ``joint`` in a JointTrajectory, from now on: by its stamp it may begin later. ValueError if it
     cannot be read, or its time is over."""
     stamp_ns, (times, *rest) = read_trajectory(message, joint)
-    return Trajectory.from_columns(times + begins_after(stamp_ns, int(times.max(initial=0)), now_ns()), *rest)
+    # A stamp is of the system's clock, as other programs read it now, not of the one that never steps.
+    return Trajectory.from_columns(times + begins_after(stamp_ns, int(times.max(initial=0)), time.time_ns()), *rest)
 
 
 class TrajectoryAction:

@@ -6,9 +6,22 @@ import threading
 import time
 
 import pytest
+from rclpy.serialization import serialize_message
 
-from straightcomp_ros.runtime.loops import IDLE_EVERY_NS, MessageLoop, PeriodicLoop, WorkerThread, awaited, sendings
+from straightcomp_ros.contract import STAGE
+from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.runtime.graph_client import message_from_waypoints
+from straightcomp_ros.runtime.loops import (
+    IDLE_EVERY_NS,
+    MessageLoop,
+    PeriodicLoop,
+    WorkerThread,
+    awaited,
+    now_ns,
+    sendings,
+)
 from straightcomp_ros.runtime.runner import idle_turns
+from straightcomp_ros.runtime.trajectory_action import read_by_stamp
 
 PERIOD = 500_000
 
@@ -182,3 +195,12 @@ def test_requests_have_a_turn_of_idle_work_after_three_timers_even_where_these_a
         idle()
     # In the sixth turn no timer was due.
     assert turns == ["timer"] * 3 + ["request", "timer", "timer", "request", "timer"]
+
+
+@pytest.mark.parametrize("step_s", [-100, 0, 100])
+def test_a_trajectory_with_a_stamp_of_now_begins_now_also_after_a_step_of_the_system_s_clock(monkeypatch, step_s):
+    system_ns = now_ns() + step_s * 10**9
+    monkeypatch.setattr(time, "time_ns", lambda: system_ns)
+    message = message_from_waypoints([Waypoint(0, 0.0, 0.0), Waypoint(10**9, 0.1, 0.0)])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(system_ns, 10**9)
+    assert read_by_stamp(serialize_message(message), STAGE).times.tolist() == [0, 10**9]
