@@ -11,8 +11,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from straightcomp_ros.contract import DIAGNOSTICS
-from straightcomp_ros.messages.cdr import ENCAPSULATION, append_aligned
+from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, append_aligned
 from straightcomp_ros.runtime.inside_rclpy import raw_publish
+from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.timing.delays import CpuWait
 from straightcomp_ros.timing.node_timing import (
@@ -97,7 +98,10 @@ class Diagnostics:
             self._steps[step]()
 
     def _begin(self, counters: Callable[[], Mapping[str, object]]) -> None:
-        self._stamp, values = self._node.get_clock().now().seconds_nanoseconds(), counters()
+        clock, values = self._node.get_clock(), counters()
+        # By the clock of the samples, also after a step of the system's; with use_sim_time by /clock, once that comes.
+        stamp_ns = (clock.ros_time_is_active and clock.now().nanoseconds) or now_ns()
+        self._stamp = divmod(stamp_ns, NANOSECONDS)
         rate_hz, cores = self._rates(int(str(values[SAMPLES])))
         self._values = {**values, RATE: f"{rate_hz:.1f}", CPU_CORES: f"{cores:.2f}"}
 

@@ -18,6 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
+from rclpy.time import Time
 from std_srvs.srv import SetBool
 from waiting import comes_true
 
@@ -25,6 +26,7 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
+from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningSign, SafetyState, safety_status
 from straightcomp_ros.runtime.stage_state import StageState
@@ -329,3 +331,19 @@ def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_
     # Nor is a client in its own way.
     with WaitingClient(()) as client:
         client.claim()
+
+
+def test_a_status_has_the_time_of_the_samples_unless_that_of_a_simulation_has_come(participant):
+    for simulated in (False, True):
+        node = Node("reporter", parameter_overrides=[Parameter("use_sim_time", value=simulated)])
+        diagnostics, clock = Diagnostics(node, lambda: {SAMPLES: 0}), node.get_clock()
+        before_ns = now_ns()
+        diagnostics.tick()
+        sec, nanosec = diagnostics._stamp
+        assert before_ns <= sec * 10**9 + nanosec <= now_ns()
+        if simulated:
+            clock.set_ros_time_override(Time(seconds=7, clock_type=clock.clock_type))
+            for _ in range(TICKS):
+                diagnostics.tick()
+            assert diagnostics._stamp == (7, 0)
+        node.destroy_node()
