@@ -17,6 +17,7 @@ from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState
+from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.commissioning import machine as commissioning_machine
@@ -33,6 +34,7 @@ class Client:
     """Nodes that do what they are asked at once; ``interrupt`` names what raises `KeyboardInterrupt` instead."""
 
     stage_listens = True
+    stage = StageState()
     excitation = "running"
 
     def __init__(self, interrupt: str = "", safety: SafetyState = OFF, moved: SafetyState = ON) -> None:
@@ -167,6 +169,35 @@ def test_a_machine_in_use_is_left_as_it_is(tmp_path):
     with pytest.raises(CommissioningError, match="another client uses the machine"):
         machine(client, tmp_path)
     assert not client.asked and not client.given and not client.states
+
+
+@pytest.mark.parametrize(("stage", "words"), [(StageState("held"), "held"), (StageState(override=0.5), "override")])
+def test_a_stage_that_its_operator_has_held_or_slowed_down_makes_no_strokes(tmp_path, stage, words):
+    client = Client()
+    client.stage = stage
+    used = machine(client, tmp_path)
+    for make in (
+        lambda: used.listen(1.0),
+        lambda: used.stroke(SHIPPED, tmp_path / "bag", 3e-4),
+        lambda: used.response(SHIPPED, MultisineParameters(), moving=True),
+    ):
+        with pytest.raises(CommissioningError, match=words):
+            make()
+    assert not client.moves and not any(on for _, on in client.asked)
+
+
+def test_a_stage_that_was_held_at_rest_or_is_held_on_its_way_ends_the_strokes(tmp_path):
+    client = Client()
+    begin = client.move
+
+    def held(waypoints):
+        begin(waypoints)
+        client.stage = StageState("held")
+
+    client.move = held
+    with pytest.raises(CommissioningError, match="held"):
+        machine(client, tmp_path).stroke(SHIPPED, tmp_path / "bag", 3e-4, count=3)
+    assert len(client.moves) == 1 and off_at_the_end(client)
 
 
 FOUND = {"driver": {"watch.travel": 0.1, "hardware": "simulated"}, "logger": {"output": ""}}

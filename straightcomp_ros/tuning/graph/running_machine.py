@@ -79,6 +79,7 @@ class RunningMachine:
 
     def listen(self, seconds: float) -> Series:
         """See `Machine`."""
+        self._require_pace()
         self._prepare(self._in_open_loop(ExcitationParameters()))
         bag = self._folder / "bags" / "connection"
         with self._recorded(bag):
@@ -196,6 +197,7 @@ class RunningMachine:
 
     def _approach(self, motion: MotionParameters) -> None:
         """Move the stage to where its cycle begins, the amplifier off."""
+        self._require_pace()
         client = self._client
         x = client.observation().x
         if not abs(x - motion.start) > _ARRIVED:
@@ -206,11 +208,22 @@ class RunningMachine:
         self._arrive(motion.start, points[-1].time_ns * 1e-9 + _LATE_S)
 
     def _arrive(self, start: float, within: float) -> None:
-        self._client.wait(
-            lambda: abs(self._client.observation().x - start) <= _ARRIVED,
+        client = self._client
+        client.wait(
+            lambda: client.stage.condition == "held" or abs(client.observation().x - start) <= _ARRIVED,
             within,
             f"the stage did not come to its start at {start:g} m",
         )
+        self._require_pace()
+
+    def _require_pace(self) -> None:
+        """CommissioningError where the stage is held or slowed down, as its operator may have left it."""
+        stage = self._client.stage
+        if stage.condition == "held":
+            raise CommissioningError("the stage is held: end its motion by driver/end_motion, or let it go on")
+        if stage.override != 1.0:
+            speed = f"the stage makes its strokes at {stage.override:.3g} of their speed"
+            raise CommissioningError(f"{speed}: set the driver's parameter 'override' to 1.0")
 
     def _cycle(self, motion: MotionParameters) -> None:
         """Make one cycle. Each is a trajectory of its own: after an interrupt no further one begins."""
