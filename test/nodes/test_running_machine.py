@@ -13,8 +13,10 @@ import pytest
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cli.main import main
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
+from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
+from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState
 from straightcomp_ros.runtime.stage_state import StageState
@@ -126,6 +128,18 @@ def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(t
         machine(client, tmp_path).play(ExcitationParameters(signal="shake"))
     assert off_at_the_end(client)
     assert client.given["driver"]["watch.travel"] != ExcitationParameters().travel
+
+
+def test_a_graph_that_learns_does_not_in_open_loop_and_gets_its_learning_back(tmp_path):
+    client = Client(interrupt="enable")
+    learning = {"learning.learn": True, "learning.file": str(tmp_path / "learned.csv")}
+    used = RunningMachine(client, with_values(SHIPPED, "controller", learning), LOGGER, tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        used.play(ExcitationParameters(signal="shake"))
+    controller = client.given["controller"]
+    assert controller["control.law"] == OPEN_LOOP and not controller["learning.learn"]
+    used.release()
+    assert controller["control.law"] != OPEN_LOOP and controller["learning.learn"]
 
 
 def test_a_platform_that_strays_in_a_frequency_response_ended_the_excitation(tmp_path):

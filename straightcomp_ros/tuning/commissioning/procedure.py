@@ -8,6 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
 from straightcomp_ros.parameters.parameter_file import file_digests
@@ -118,8 +119,11 @@ class Procedure:
             yield steps[0]
 
     def work(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Work:
-        """What ``step`` works on: the description with what the steps before it found."""
-        values = {node: dict(section) for node, section in self._values.items()}
+        """What ``step`` works on: the description with what the steps before it found.
+
+        No step learns but the acceptance, on request: what is learned holds for one law, and each step has another.
+        """
+        values = with_values(self._values, "controller", {"learning.learn": False})
         for name in itertools.takewhile(lambda name: name != step, STEPS):
             if name in self.outcomes:
                 values.setdefault("stage", {}).update(self.outcomes[name].stage)

@@ -168,7 +168,8 @@ class RunningMachine:
 
     def _in_open_loop(self, excitation: ExcitationParameters) -> Values:
         asked = {f"excitation.{name}": one for name, one in to_mapping(excitation).items()}
-        return with_values(self._values, "controller", {"control.law": OPEN_LOOP, **asked})
+        # What was learned is of another law.
+        return with_values(self._values, "controller", {"control.law": OPEN_LOOP, "learning.learn": False, **asked})
 
     def _prepare(self, values: Values, **controller: Any) -> None:
         """Bring the loop to work with these parameters, the amplifier off."""

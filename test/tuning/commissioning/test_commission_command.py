@@ -11,6 +11,8 @@ from roughly_known import ROUGH, encoder_of_twice_the_count, other_guide, values
 from tiers import nightly
 
 from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.offline.starts import with_values
+from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.output_files import MARK, making
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.commissioning import MADE, RECORD, STEP_FILES, CommissionRefused, procedure
@@ -254,6 +256,18 @@ def test_a_later_call_goes_on_with_the_step_that_is_next_and_with_what_those_bef
     assert [again.work(step).stage.platform.mass for step in ("safe_loop", "design", "acceptance")] == [2.0, 3.0, 3.0]
     laws = [again.work(step).values["controller"].get("control.law") for step in ("design", "acceptance")]
     assert laws[0] != "smc" and laws[1] == "smc"
+
+
+@pytest.mark.parametrize("learned", [{}, {"learning.learn": True, "learning.file": "learned.csv"}])
+def test_no_step_learns_on_a_stage_that_learns_but_an_acceptance_that_is_to_and_the_certificate_is_of_that(
+    done, tmp_path, monkeypatch, learned
+):
+    values = with_values(values_of(), "controller", {"learning.learn": True, "learning.file": "mine.csv"})
+    one = Procedure(SimulatedMachine(values), values, tmp_path, evaluations=1, machines=1)
+    monkeypatch.setitem(procedure.STEPS, "acceptance", lambda work: Outcome(True, "accepted", gains=learned))
+    run(one, STEPS)
+    learns = [step for step in STEPS if node_parameters("controller", one.work(step).values).learning.learn]
+    assert learns == (["certificate"] if learned else [])
 
 
 def left(folder):
