@@ -43,8 +43,8 @@ _LEAST_ARRIVED = 0.5
 the newest of the commands that arrived since the sample before."""
 _ROUNDING = 0.5
 """Largest RMS of a reading between two counts, counts."""
-_SHAKE = 0.005
-"""Random current, relative to the bias current."""
+_SHAKE, _SHAKE_STEPS = 0.005, 4.0
+"""Random current: relative to the bias current, and steps of the D/A converter, whichever is more."""
 _SHAKE_TIME = 0.25
 _ENOUGH = 40
 """Samples of it that identify the readback."""
@@ -265,7 +265,8 @@ def signs_and_scales(work: Work) -> Outcome:
     """Shake, then push either way."""
     stage = work.stage
     travel = max(_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
-    current = _SHAKE * stage.actuator.bias_current
+    current = max(_SHAKE * stage.actuator.bias_current, _SHAKE_STEPS * stage.drive.current_step)
+    current = min(current, stage.highest_current)
     shaken = work.machine.play(
         ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=travel)
     )

@@ -222,6 +222,13 @@ def test_an_amplifier_that_is_too_fast_for_the_samples_and_any_described_delay_a
     node_parameters("controller", {**values, "stage": {**values["stage"], **stage}})
 
 
+@pytest.mark.parametrize("bits", [6, 7])
+def test_a_shake_is_of_whole_steps_of_a_coarse_converter(tmp_path, bits):
+    outcome = signs_and_scales(work_on(values_of(drive__dac_bits=bits), tmp_path))
+    assert outcome.passed, outcome.sentence
+    assert outcome.figures["readback_gain"] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("stop", [5e-4, 1e-5])
 def test_a_platform_without_friction_coasts_slowly_and_not_into_its_stop(tmp_path, stop):
     outcome = signs_and_scales(work_on(values_of(platform__stop=stop, **FREE), tmp_path))
