@@ -18,13 +18,14 @@ is added to its command: there the signal is larger, by a bounded factor, since 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.margins import LoopResponse, loop_response
-from straightcomp_ros.parameters.declaration import parameter
+from straightcomp_ros.parameters.declaration import from_mapping, parameter
 from straightcomp_ros.stage.description import StageParameters
 
 Array = NDArray[np.float64]
@@ -43,6 +44,11 @@ _CROSSOVER = 0.5
 """Share of its lead over which a draw takes over from the one before."""
 _FADE = 0.25
 """s over which a multisine rises and falls."""
+_TRAVEL, _TRAVEL_SHARE = 3e-4, 0.35
+"""m, and of the way to the mechanical stop: how far the platform may go, whichever is less."""
+_CURRENT, _PEAK = 0.25, 3.6
+"""RMS of a multisine: at most this share of the bias current, and the highest current over this peak factor. Both are
+the 0.25 A that is usual on the shipped stage; with other turns the same shares move a platform alike."""
 
 
 class FrequencyResponseError(ValueError):
@@ -104,6 +110,24 @@ class ExcitationParameters(MultisineParameters):
         choices=("multisine", "shake", "ramp_up", "ramp_down"),
     )
     duration: float = parameter(1.0, "Length of a shake or a ramp", "(0, 60] s")
+
+
+def bearable_travel(stage: StageParameters) -> float:
+    """How far in m the platform may be from its reference while it is excited, or under a law that is tried."""
+    return min(_TRAVEL, _TRAVEL_SHARE * stage.platform.stop)
+
+
+def suited_multisine(stage: StageParameters, **chosen: Any) -> MultisineParameters:
+    """The excitation of a frequency response of ``stage``, with what is ``chosen``, by name.
+
+    Current and travel are otherwise as much as coils and stop bear: the friction of a platform that hardly slides adds
+    to the margins.
+
+    Raises:
+        ParameterError: a value is refused.
+    """
+    current = min(_CURRENT * stage.actuator.bias_current, stage.highest_current / _PEAK)
+    return from_mapping(MultisineParameters, {"current": current, "travel": bearable_travel(stage), **chosen})
 
 
 class Injection:

@@ -23,7 +23,12 @@ import numpy as np
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.error_detail import sustained_oscillation
 from straightcomp_ros.analysis.figure_words import with_digits
-from straightcomp_ros.control.excitation import ExcitationEnded, FrequencyResponseError, MultisineParameters
+from straightcomp_ros.control.excitation import (
+    ExcitationEnded,
+    FrequencyResponseError,
+    MultisineParameters,
+    suited_multisine,
+)
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
@@ -76,9 +81,6 @@ _SEEN = (0.4, 0.28, 0.2, 0.14)
 _SEARCH = {"lines": 200, "period": 4.0, "draws": 4}
 """Of the excitation that looks for modes. 40 lines take two modes within 15 % for one; a mode of 0.5 % rings on for a
 second under the safe law, which knows nothing of it, so that few long draws say more than many short ones."""
-_CURRENT, _PEAK = 0.25, 3.6
-"""RMS of the excitation: at most this share of the bias current, and the highest current over this peak factor. Both
-are the 0.25 A that is usual on the shipped stage; with other turns the same shares move a platform alike."""
 _IN_SIMULATION = 0.7
 """Share of the travel that the excitation may need in the simulation."""
 _MOTIONS = (1.0, 0.7, 0.5, 0.35)
@@ -496,7 +498,7 @@ def _in_words(margins: ResponseMargins) -> str:
 
 def _measured(work: Work, **excited: Any) -> ComparedResponse:
     """The response; once more with half the motion if the platform left the travel, which late commands may cause."""
-    excitation, described = _foreseen(work, _excitation(work, **excited))
+    excitation, described = _foreseen(work, suited_multisine(work.stage, **excited))
     try:
         found = work.machine.response(work.values, excitation)
     except ExcitationEnded:
@@ -511,12 +513,6 @@ def _measured(work: Work, **excited: Any) -> ComparedResponse:
     )
     mechanics = FoundPlant(own.gain.over(foreseen.gain), modes)
     return dataclasses.replace(found, model=described.measured.response, mechanics=mechanics)
-
-
-def _excitation(work: Work, **excited: Any) -> MultisineParameters:
-    """As strong as the coils need it: a weak one hardly slides, and the friction then adds to the margins."""
-    current = min(_CURRENT * work.stage.actuator.bias_current, work.stage.highest_current / _PEAK)
-    return MultisineParameters(travel=work.travel, current=current, **excited)
 
 
 def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisineParameters, ComparedResponse]:
@@ -539,7 +535,7 @@ def _foreseen(work: Work, excitation: MultisineParameters) -> tuple[MultisinePar
 def _open_by_friction(work: Work) -> Array:
     """(lines,) The share of the plant by which it may differ where friction is not known better than it was described:
     a record whose platform hardly slides does not show how much there is."""
-    excitation, described = _foreseen(work, _excitation(work))
+    excitation, described = _foreseen(work, suited_multisine(work.stage))
     ranges, plants = work.stage.uncertainty, described.measured.response.plant
     total = np.zeros(plants.size)
     for friction in (1.0 / ranges.friction, ranges.friction):

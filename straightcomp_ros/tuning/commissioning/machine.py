@@ -21,7 +21,12 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams, values_at
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER
-from straightcomp_ros.control.excitation import ExcitationParameters, MultisineParameters, simple_currents
+from straightcomp_ros.control.excitation import (
+    ExcitationParameters,
+    MultisineParameters,
+    bearable_travel,
+    simple_currents,
+)
 from straightcomp_ros.control.law import Command
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -236,11 +241,6 @@ def excited(series: Series, travel: float, rate: float) -> Series:
     return Series(**{**cut, "command": np.nan_to_num(cut["command"])}, left_at=left_at)
 
 
-_TRAVEL = 3e-4
-_TRAVEL_SHARE = 0.35
-"""Of the way to the mechanical stop."""
-
-
 @dataclass(frozen=True)
 class Outcome:
     """The result of a step."""
@@ -278,7 +278,7 @@ class Work:
     @property
     def travel(self) -> float:
         """How far the platform may be from its reference under any law, m."""
-        return min(_TRAVEL, _TRAVEL_SHARE * self.stage.platform.stop)
+        return bearable_travel(self.stage)
 
     def described(self) -> dict[str, Mapping[str, Any]]:
         """The parameters of a simulated machine that is as the stage is known so far, without a truth of its own."""

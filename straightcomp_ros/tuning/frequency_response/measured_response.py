@@ -249,7 +249,9 @@ class ComparedResponse:
     def deviations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(lines,) each: the measured plant relative to the model's, magnitude in dB and phase in degrees."""
         ratio = self.measured.response.plant / self.model.plant
-        return 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+        # A dead line is infinitely far off.
+        with np.errstate(divide="ignore"):
+            return 20.0 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
 
     @property
     def largest_deviations(self) -> tuple[float, float]:
@@ -267,9 +269,9 @@ class ComparedResponse:
         """
         measured = self.measured
         size = np.abs(measured.response.plant)
-        radius = np.minimum(1.0, measured.jointly * measured.plant_radius / size + self.open)
         gain, phase = self.deviations
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            radius = np.minimum(1.0, measured.jointly * measured.plant_radius / size + self.open)
             least, most = gain + 20.0 * np.log10(1.0 - radius), gain + 20.0 * np.log10(1.0 + radius)
         turned = np.abs(phase) - np.degrees(np.arcsin(radius))
         # Written so that NaN is off.
@@ -297,14 +299,15 @@ def compared_response(
     limit = stage.highest_current
     signal = commands - np.clip(asked, -limit, limit)
     measured = measured_response(excitation, signal, commands, reading)
-    damping = friction_damping(stage.friction, measured.speed)
+    duration = excitation.currents.size / stage.rate
+    # A platform of which no count shows a motion goes less than one in all the time.
+    damping = friction_damping(stage.friction, max(measured.speed, stage.encoder.y_resolution / duration))
     law = make_law(described_state(control, stage)[1], stage)
     model = loop_response(law, stage, measured.frequencies, damping)
     lines = measured.coherent & np.isfinite(measured.response.plant)
     rigid = loop_response(law, stage.with_modes(), measured.frequencies[lines], damping).plant
     plant, radius = measured.response.plant[lines], measured.plant_radius[lines]
     mechanics = found_plant(measured.frequencies[lines], plant, radius, rigid, damping, stage)
-    duration = excitation.currents.size / stage.rate
     left_open = _left_open(law, stage, measured.frequencies, damping, model.plant)
     return ComparedResponse(control.law, measured, model, damping, clipped, duration, mechanics, open=left_open)
 

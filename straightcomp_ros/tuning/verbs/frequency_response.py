@@ -8,6 +8,7 @@ it does not, the exit code is 1. The margins are those of the frequencies with a
 """
 
 import argparse
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,7 +25,7 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
-from straightcomp_ros.control.excitation import MultisineParameters
+from straightcomp_ros.control.excitation import MultisineParameters, suited_multisine
 from straightcomp_ros.parameters.declaration import declarations, from_mapping
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import making
@@ -39,6 +40,12 @@ from straightcomp_ros.tuning.verbs import add_graph_option, graph_access, refuse
 
 SUMMARY = "measure plant, open loop, sensitivity and margins"
 PURPOSE = "tune"
+_BY_STAGE = {
+    "current": "a quarter of the bias current, or the highest current over 3.6 if that is less; 0.25 A on the shipped "
+    "stage",
+    "travel": "0.0003 m, or 0.35 of the way to the stop if that is less",
+}
+"""Defaults that depend on the stage, in words."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     for one in declarations(MultisineParameters):
         unit = f" {one.unit}" if one.unit else ""
-        text = f"{one.description} (default: {one.default:g}{unit})"
-        add(f"--{one.name}", type=one.kind, default=one.default, metavar=one.unit or "N", help=text)
+        text = f"{one.description} (default: {_BY_STAGE.get(one.name, f'{one.default:g}{unit}')})"
+        add(f"--{one.name}", type=one.kind, metavar=one.unit or "N", help=text)
     add_graph_option(parser)
     add("--moving", action="store_true", help="measure while the stage makes strokes, not at rest")
     add("--plot", "--output", "-o", metavar="FILE", help="save Bode and Nyquist plots (PNG, SVG or PDF; formerly -o)")
@@ -59,13 +66,16 @@ def run(options: argparse.Namespace) -> None:
     refuse_parameters_of_running(options, "--stage", "--law", "--params-file", "--set")
     values = chosen_parameters(options)
     plot = output_file(options, "--plot", PICTURES)
-    given = {one.name: getattr(options, one.name) for one in declarations(MultisineParameters)}
-    excitation = from_mapping(MultisineParameters, given)
+    asked = {one.name: getattr(options, one.name) for one in declarations(MultisineParameters)}
+    chosen = {name: value for name, value in asked.items() if value is not None}
+    # What is refused is refused before a graph is started.
+    from_mapping(MultisineParameters, chosen)
     with working("measuring") as advance:
         if options.graph is None:
+            excitation = _excitation(values, chosen)
             found = measure_simulated(values, excitation, moving=options.moving, progress=advance)
         else:
-            found, values = _measure_running(options, values, excitation)
+            found, values = _measure_running(options, values, chosen)
     name = node_parameters("controller", values).stage.name
     if plot is not None:
         # Only here: matplotlib takes longer to import than the measurement.
@@ -82,8 +92,13 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed(_verdict(found))
 
 
+def _excitation(values: Values, chosen: Mapping[str, Any]) -> MultisineParameters:
+    """What is not ``chosen`` is as the stage bears it."""
+    return suited_multisine(node_parameters("controller", values).stage, **chosen)
+
+
 def _measure_running(
-    options: argparse.Namespace, values: Values, excitation: MultisineParameters
+    options: argparse.Namespace, values: Values, chosen: Mapping[str, Any]
 ) -> tuple[ComparedResponse, Values]:
     """The response of a graph's loop, and its parameters.
 
@@ -99,6 +114,8 @@ def _measure_running(
             folder = Path(stack.enter_context(TemporaryDirectory()))
         access = stack.enter_context(graph_access(options, values, folder))
         access.report("frequency response")
+        # With --graph running the stage is that of its nodes.
+        excitation = _excitation(access.values, chosen)
         return access.machine.response(access.values, excitation, moving=options.moving), access.values
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,15 +20,19 @@ from straightcomp_ros.control.excitation import (
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_margins, loop_response
 from straightcomp_ros.model.modes import ModeParameters
+from straightcomp_ros.offline.starts import with_values
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.frequency_response.measured_response import (
     ComparedResponse,
     MeasuredResponse,
+    ResponseMargins,
     compared_response,
     measured_response,
     response_margins,
 )
 from straightcomp_ros.tuning.frequency_response.response_plot import _phase
+from straightcomp_ros.tuning.verbs import frequency_response
 
 RATE = 1000.0
 
@@ -149,6 +154,16 @@ def test_a_response_that_is_not_a_number_is_not_explained():
         measured = measured_response(excitation, signal, signal, 1e-6 * signal)
     assert measured.coherent.any() and np.isnan(measured.response.plant).all()
     assert not ComparedResponse("linear", measured, flat(excitation.frequencies), 1.0, 0, 1.0).explained
+
+
+def test_a_platform_that_no_count_shows_moving_has_no_coherent_line_and_explains_nothing():
+    excitation, _ = recorded(0.0)
+    still = np.zeros_like(excitation.currents)
+    control, stage = ControlParameters(), StageParameters()
+    found = compared_response(excitation, still, excitation.currents, still, control, stage, 0)
+    assert not found.measured.coherent.any() and not found.explained
+    assert found.largest_deviations == (0.0, 0.0) and found.margins == 2 * (ResponseMargins(),)
+    assert math.isfinite(found.damping) and np.isfinite(found.model.plant).all()
 
 
 def test_a_swing_that_is_larger_than_what_any_line_moves_is_named_by_its_frequency():
@@ -360,6 +375,43 @@ def test_a_ramp_goes_evenly_to_its_current_but_to_the_limit_at_most_and_drops_to
     assert currents[-2] == pytest.approx(0.5, rel=1e-3)
     assert np.allclose(np.diff(currents[:-1]), 0.5 / 3999)
     assert np.abs(injected(ExcitationParameters(signal=signal, current=10.0))).max() == STAGE.highest_current
+
+
+SMALL = {"platform.stop": 1.5e-4, "actuator.bias_current": 0.2, "actuator.current_limit": 0.18}
+
+
+@pytest.mark.parametrize("running", [False, True])
+@pytest.mark.parametrize(
+    ("facts", "words", "current", "travel"),
+    [
+        ({}, "", 0.25, 3e-4),
+        (SMALL, "", 0.05, 5.25e-5),
+        ({"actuator.current_limit": 0.18}, "", 0.05, 3e-4),
+        (SMALL, "--current 0.02 --travel 4e-5", 0.02, 4e-5),
+    ],
+)
+def test_what_is_not_chosen_of_the_excitation_follows_from_the_stage_that_is_measured(
+    monkeypatch, verb, running, facts, words, current, travel
+):
+    seen, described = [], with_values(shipped_parameters(), "stage", facts)
+
+    def measured(values, excitation, **_):
+        seen.append(excitation)
+        raise FrequencyResponseError("far enough")
+
+    def access(*_):
+        machine = SimpleNamespace(response=measured)
+        return nullcontext(SimpleNamespace(machine=machine, values=described, report=lambda doing: None))
+
+    monkeypatch.setattr(
+        frequency_response, "chosen_parameters", lambda _: shipped_parameters() if running else described
+    )
+    monkeypatch.setattr(frequency_response, "measure_simulated", measured)
+    monkeypatch.setattr(frequency_response, "graph_access", access)
+    assert verb("frequency-response", *words.split(), *(["--graph", "running"] if running else [])).code != 0
+    (excitation,) = seen
+    assert (excitation.current, excitation.travel) == pytest.approx((current, travel))
+    assert facts or excitation == MultisineParameters()
 
 
 def test_a_multisine_is_injected_under_a_law_with_a_slow_rise():
