@@ -107,7 +107,7 @@ def read_recording(bag: Path) -> Recording:
     if stop - start < SHORTEST:
         raise IdentificationError(
             f"bag {bag}: the longest stretch with the amplifier on and no sample lost has {stop - start} samples; "
-            f"allowed: >= {SHORTEST}"
+            f"allowed: >= {SHORTEST}; record more strokes in one bag"
         )
     start += _busiest(y[start:stop], max(1, round(_MEAN * 1e9 / period_ns)))
     stretch = slice(start, min(stop, start + LONGEST))

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.analysis.current_path import SHORTEST, SWITCH_ON
 from straightcomp_ros.analysis.error_detail import sustained_oscillation
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.control.excitation import (
@@ -29,7 +30,7 @@ from straightcomp_ros.control.excitation import (
     MultisineParameters,
     suited_multisine,
 )
-from straightcomp_ros.model.motion import reach
+from straightcomp_ros.model.motion import forward_and_back, reach
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
@@ -110,7 +111,7 @@ def safe_loop(work: Work) -> Outcome:
 
 
 def identification(work: Work) -> Outcome:
-    """Make one cycle along the excitation under the present law, and identify."""
+    """Make a cycle along the excitation under the present law, several if it is short, and identify."""
     stage, bag = work.stage, work.folder / "bags" / "identification"
     try:
         gains = _excited(work, bag)
@@ -128,7 +129,7 @@ def identification(work: Work) -> Outcome:
         },
     }
     by_record = facts = facts_found(found, stage)
-    gain, scale, mechanics, words = Interval(1.0, 1.0, 1.0), 1.0, FoundPlant(), ""
+    gain, scale, mechanics, words = FoundPlant().gain, 1.0, FoundPlant(), ""
     # The second look has the machine of the first one for its model, and sees more.
     for _ in range(2):
         values = with_values(work.values, "controller", gains)
@@ -138,7 +139,9 @@ def identification(work: Work) -> Outcome:
             words = words or said
             break
         mechanics, words = seen, said
-        gain = Interval(*(gain.value * one for one in mechanics.gain))
+        # Relative to the facts that it was looked at with: those of the record until a look shows the force.
+        if _shown(mechanics.gain):
+            gain = Interval(*(gain.value * one for one in mechanics.gain))
         facts, scale = scaled_by(gain, by_record, found, stage)
     if strange := strangeness(found, work.description, scale):
         return Outcome(False, strange, figures)
@@ -156,10 +159,11 @@ def identification(work: Work) -> Outcome:
 
 
 def _excited(work: Work, bag: Path) -> dict[str, Any]:
-    """Make one cycle along the excitation, recorded as ``bag``; returns the gains that the safe law got for it.
+    """Make as many cycles along the excitation as an identification needs, recorded as ``bag``; returns the gains that
+    the safe law got for it.
 
-    A platform that swings out of its travel rings at a mode that no description has: the cycle is made once more, under
-    a safe law for a mode there.
+    A platform that swings out of its travel rings at a mode that no description has: they are made once more, under a
+    safe law for a mode there.
 
     Raises:
         LeftTravel: the platform left its travel, and there is no such law, or under it too.
@@ -173,13 +177,14 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     write_survey(excitation, excitation_survey(length, low, scale, stage.guide), ("Made up: excites the platform.",))
     facts = excitation_facts(stage.guide, scale, low, length)
     values = with_values(work.values, "stage", {"guide.file": str(excitation), **facts})
+    count = math.ceil((SHORTEST + SWITCH_ON) * stage.period_ns / forward_and_back(stage.motion)[-1].time_ns)
     try:
-        work.machine.stroke(values, bag, work.travel)
+        work.machine.stroke(values, bag, work.travel, count)
         return {}
     except LeftTravel as error:
         safe, left = _leaving_alone(work, _swinging(recorded_reading(bag), stage), error)
     try:
-        work.machine.stroke(with_values(values, "controller", safe), bag, work.travel)
+        work.machine.stroke(with_values(values, "controller", safe), bag, work.travel, count)
     except LeftTravel as error:
         again = "and left it again under a law for a mode there: describe it (stage.platform.modes)"
         raise LeftTravel(f"{left}, {again}") from error
@@ -264,6 +269,11 @@ def _undescribed(stage: StageParameters) -> list[str]:
     return [name for name in ("first", "second") if not getattr(stage.platform.modes, name).frequency]
 
 
+def _shown(gain: Interval) -> bool:
+    """Whether a response shows the force over the mass well enough to be taken from it."""
+    return gain.high / gain.value <= POOR
+
+
 def scaled_by(
     gain: Interval, facts: Mapping[str, Any], found: Estimate, stage: StageParameters
 ) -> tuple[dict[str, Any], float]:
@@ -272,7 +282,7 @@ def scaled_by(
     What rings or gives way in a record is inertia to a model without it: all forces come out too large or too small by
     one factor. The response has the mass's line beside the modes.
     """
-    if not gain.high / gain.value <= POOR:
+    if not _shown(gain):
         return dict(facts), 1.0
     turns = facts.get("actuator.turns", stage.actuator.turns)
     gap = facts.get("actuator.air_gap", stage.actuator.air_gap)

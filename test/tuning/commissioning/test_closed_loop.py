@@ -9,7 +9,9 @@ import pytest
 from roughly_known import values_of, work_on
 
 from straightcomp_ros.analysis import IdentificationError
+from straightcomp_ros.analysis.current_path import SHORTEST, read_recording
 from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters
+from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -187,6 +189,11 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
     outcome = identification(work)
     assert outcome.stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns) and not looks
     assert outcome.stage["platform.modes.first.frequency"] == 180.0 and "one mode" in outcome.sentence
+    # One that does not show the force changes nothing of it, whatever the other one shows.
+    narrow, wide = Interval(0.625, 0.62, 0.63), Interval(0.625, 0.4, 0.9)
+    for first, second in ((wide, narrow), (narrow, Interval(1.0, 0.7, 1.4))):
+        looks = [(FoundPlant(one, (mode,)), "", {}) for one in (first, second)]
+        assert identification(work).stage["actuator.turns"] == pytest.approx(0.9**0.5 * turns) and not looks
 
 
 def test_a_fact_that_is_found_poorly_but_better_than_it_was_described_is_taken():
@@ -245,7 +252,7 @@ def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_saf
 ):
     strokes = []
 
-    def stroke(values, bag, travel):
+    def stroke(values, bag, travel, count):
         strokes.append(values["controller"].get(NOTCH, 0.0))
         if len(strokes) == 1 or ends == "left":
             raise LeftTravel("the platform left its reference")
@@ -343,12 +350,22 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(work, monkeypatch, step):
     assert closed_loop.design(dataclasses.replace(work, outcomes=safe)).sentence == "far enough"
 
 
+@pytest.mark.parametrize("stroke", [0.05, 0.5])
+def test_an_excitation_has_as_many_cycles_as_an_identification_needs_and_not_more(tmp_path, stroke):
+    motion = {"stroke": stroke, "acceleration": 2.0, "settle": 0.1, "pause": 0.1}
+    work = work_on(values_of(**{f"motion__{name}": value for name, value in motion.items()}), tmp_path)
+    closed_loop._excited(work, tmp_path / "bag")
+    samples = read_recording(tmp_path / "bag").y.size
+    cycle = forward_and_back(work.stage.motion)[-1].time_ns / work.stage.period_ns
+    assert samples < SHORTEST + cycle
+
+
 def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(work):
     """Nor is it held to what is demanded of theirs; but it keeps to the platform's travel."""
     mine, moved_along = work.folder / "excitation.csv", []
     mine.write_text("a survey that took a day")
 
-    def stroke(values, bag, travel):
+    def stroke(values, bag, travel, count):
         moved_along.append(values["stage"]["guide.file"])
         load_map(node_parameters("driver", values).stage.guide)
         raise LeftTravel("far enough")
