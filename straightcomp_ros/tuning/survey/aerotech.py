@@ -26,7 +26,7 @@ from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, Point
 _HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")
 _KEYWORD = re.compile(r"([A-Z0-9]+)\s*=\s*(\S+)")
 _SAME = 1e-9
-"""Rows may differ by this much, in m."""
+"""Rows may differ by this much, in m, and the x of one point in two tables."""
 
 
 def read(path: Path, conventions: Conventions) -> Survey:
@@ -77,6 +77,7 @@ def read(path: Path, conventions: Conventions) -> Survey:
             f"{', '.join(found) or 'none'}"
         )
     every = np.unique(np.concatenate([x for x, _ in ours]))
+    every = every[np.append(True, np.diff(every) > _SAME)]
     total = np.sum([np.interp(every, *table) for table in ours], axis=0)
     return survey_of(f"survey {path}", zip(every.tolist(), total.tolist(), strict=True))
 

@@ -132,6 +132,8 @@ def aerotech(head, rows, spacing="10 10", columns=24):
     return f":START2D {head} {spacing} {columns}\n:START2D POSUNIT=METRIC CORUNIT=METRIC/1000\n{text}\n:END\n"
 
 
+FLAT = [0.0] * 8
+INCHES = aerotech("2 1 2 1", [FLAT * 3] * 2, "10 0.1").replace("METRIC", "ENGLISH")
 POINTS = list(zip((X * 1e-3).tolist(), (UM * 1e-6).tolist(), strict=True))
 COLUMNS = aerotech("2 1 2 1", [UM, UM])
 
@@ -173,6 +175,9 @@ def pos(*blocks):
         ("aerotech", COLUMNS + aerotech("2 1 2 1", [0.5 * UM] * 2), 1.5 * PP),
         ("aerotech", COLUMNS + aerotech("2 1 2 1", [COARSE] * 2, "10 20", 12), 1.5 * PP),
         ("aerotech", COLUMNS + aerotech("2 3 2 3", [UM, UM]), PP),
+        # The same x in both tables, but for the last bit.
+        ("aerotech", aerotech("2 1 2 1", [UM] * 2, "10 1.1") + aerotech("2 1 2 1", [FLAT] * 2, "10 3.3", 8), PP),
+        ("aerotech", aerotech("2 1 2 1", [UM] * 2, "10 2.54") + INCHES, PP),
         # Points may stand on the lines of the braces.
         ("etalon", etalon().replace("{\n", "{ ").replace("\n}", " }"), PP),
         ("etalon", etalon() + etalon("EXX"), PP),
