@@ -181,7 +181,7 @@ def estimate_from_bag(
     """
     searched = unknowns(start, known)
     recording = read_recording(bag)
-    middle = centre(recording)
+    middle = centre(recording, start.friction.stribeck_velocity)
     if middle is not None and middle.certain:
         # The model has its magnets around zero.
         recording = replace(recording, y=recording.y - middle.value)

@@ -24,7 +24,7 @@ from scipy.signal import savgol_filter
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording
 from straightcomp_ros.model.actuator import MU_0, Actuator
-from straightcomp_ros.model.friction import LuGre
+from straightcomp_ros.model.friction import LuGre, LuGreParameters
 from straightcomp_ros.model.plant import Plant, substep_for
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
@@ -62,8 +62,10 @@ _WINDOW = 0.01
 _ORDER = 3
 _SLIDING = 2e-4
 """m/s; ten times the Stribeck velocity of the shipped stage."""
-_LEAST = 500
-"""Samples of sliding."""
+_SLOW = 3.0
+"""Stribeck velocities from which a slower record slides: by Stribeck's law only exp(-9) of F_S - F_C is left there."""
+_LEAST = 0.25
+"""s of sliding."""
 _TWO_SIDED, _CERTAIN = 2.0, 5.0
 """Standard deviations of a 95 % interval, of some tens of blocks, and of what is beyond doubt."""
 _LEAST_VISCOUS = 0.1
@@ -148,12 +150,13 @@ class Centre:
         )
 
 
-def centre(recording: Recording) -> Centre | None:
+def centre(recording: Recording, stribeck: float = LuGreParameters.stribeck_velocity) -> Centre | None:
     """The centre of the magnets; None where the record has too little sliding, or shows no stiffness.
 
-    A readback with an offset looks the same: the centre is that of the measured current.
+    A readback with an offset looks the same: the centre is that of the measured current. ``stribeck`` is the described
+    Stribeck velocity in m/s.
     """
-    found = _sliding(recording)
+    found = _sliding(recording, stribeck)
     # A flexure that is stiffer than the magnets has a negative one.
     if found is None or abs(found[0][1]) <= _CERTAIN * math.sqrt(found[1][1, 1]):
         return None
@@ -169,7 +172,7 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
 
     None where the record has too little sliding, or a stiffness or friction comes out negative.
     """
-    found = _sliding(recording)
+    found = _sliding(recording, unknowns.stage.friction.stribeck_velocity)
     if found is None or found[0][:3].min() <= 0.0:
         return None
     current_gain, position_gain, coulomb, viscous, _ = found[0].tolist()
@@ -193,8 +196,9 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
     return np.asarray(np.clip(vector, unknowns.low, unknowns.high))
 
 
-def _sliding(recording: Recording) -> tuple[Array, Array] | None:
-    """K̄_i/M, K̄_y/M, F_C/M, σ2/M and c in SI units (5,), and their covariance (5, 5); None with too little sliding."""
+def _sliding(recording: Recording, stribeck: float) -> tuple[Array, Array] | None:
+    """K̄_i/M, K̄_y/M, F_C/M, σ2/M and c in SI units (5,), and their covariance (5, 5); None with too little sliding.
+    ``stribeck`` is the described Stribeck velocity in m/s."""
     period = recording.period_ns * 1e-9
     window = max(_ORDER + 2, 2 * round(0.5 * _WINDOW / period) + 1)
 
@@ -203,10 +207,14 @@ def _sliding(recording: Recording) -> tuple[Array, Array] | None:
 
     velocity = filtered(recording.y, 1)
     direction = np.sign(velocity)
-    sliding = minimum_filter1d(np.abs(velocity), window) > _SLIDING
+    slowest = minimum_filter1d(np.abs(velocity), window)
     # At its ends the filter extrapolates.
-    sliding[:window] = sliding[-window:] = False
-    if np.count_nonzero(sliding) < _LEAST:
+    slowest[:window] = slowest[-window:] = 0.0
+    sliding = slowest > _SLIDING
+    if np.count_nonzero(sliding) * period < _LEAST:
+        # A platform of little travel is slow in the whole record.
+        sliding = slowest > min(_SLIDING, _SLOW * stribeck)
+    if np.count_nonzero(sliding) * period < _LEAST:
         return None
     signals = (filtered(recording.current), filtered(recording.y), -direction, -velocity, np.ones_like(velocity))
     terms, wanted = np.stack(signals, axis=1)[sliding], filtered(recording.y, 2)[sliding]

@@ -254,19 +254,24 @@ def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag, sti
 
 
 @pytest.mark.parametrize(("stiffness", "shift"), [(1e4, -1e-5), (-1e4, 1e-5), (0.0, None)])
+@pytest.mark.parametrize(
+    ("period_ns", "samples", "share", "within"),
+    [(500_000, 8000, 1.0, 0.01), (2_000_000, 450, 1.0, 0.02), (500_000, 8000, 0.05, 0.01)],
+    ids=["usual", "short at 500 Hz", "up to 0.15 mm/s"],
+)
 def test_a_platform_has_a_centre_on_a_flexure_that_is_stiffer_than_the_magnets_but_none_on_one_as_stiff(
-    stiffness, shift
+    stiffness, shift, period_ns, samples, share, within
 ):
     # From the equation of motion, with a constant force of 0.1 N/kg.
-    time, ways = 5e-4 * np.arange(8000), ((5e-5, 30.0), (2e-5, 70.0))
+    time, ways = 1e-9 * period_ns * np.arange(samples), ((5e-5, 30.0), (2e-5, 70.0))
     y, speed, acceleration = (
-        sum(amplitude * rate**order * np.cos(rate * time + order * math.pi / 2.0) for amplitude, rate in ways)
+        share * sum(amplitude * rate**order * np.cos(rate * time + order * math.pi / 2.0) for amplitude, rate in ways)
         for order in range(3)
     )
     current = (acceleration - stiffness * y + 3.0 * speed - 0.1) / 14.0
-    current += 1e-3 * np.random.default_rng(1).standard_normal(time.size)
-    found = centre(recording.Recording(500_000, y, y, current, current, time.size))
-    assert (found and found.value) == (shift and pytest.approx(shift, rel=0.01))
+    current += 1e-3 * share * np.random.default_rng(1).standard_normal(time.size)
+    found = centre(recording.Recording(period_ns, y, y, current, current, time.size))
+    assert (found and found.value) == (shift and pytest.approx(shift, rel=within))
 
 
 @pytest.mark.nightly
