@@ -40,6 +40,17 @@ def cubic_spline(x: Array, values: Array) -> CubicSpline:
     return CubicSpline(x, values)
 
 
+def point_weights(x: Array, at: Array, weights: Array) -> Array:
+    """``weights`` (p, m) of the values at ``at`` (m,) of :func:`cubic_spline` through points at ``x`` (n,), as weights
+    (p, n) of the values at these points. No matrix of (m, n) is made: both may be tens of thousands."""
+    from scipy.interpolate import BSpline
+    from scipy.sparse.linalg import spsolve
+
+    knots = np.concatenate([np.repeat(x[0], 4), x[2:-2], np.repeat(x[-1], 4)])
+    through, values = (BSpline.design_matrix(one, knots, 3, extrapolate=True) for one in (x, at))
+    return np.asarray(spsolve(through.T.tocsc(), values.T @ weights.T).T)
+
+
 def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Array, Array]:
     """The x of the first run, cut to the range that all runs cover, and all runs at these x.
 

@@ -29,7 +29,7 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey
-from straightcomp_ros.straightness.survey_runs import cubic_spline
+from straightcomp_ros.straightness.survey_runs import point_weights
 from straightcomp_ros.straightness.survey_table import SurveyError
 
 Array = NDArray[np.float64]
@@ -218,14 +218,14 @@ def align(straightness: StraightnessMap, strokes: Sequence[Run], reach: float) -
 
 def _uncertainties(straightness: StraightnessMap, best: _Fit, independent: Array) -> tuple[Array, bool]:
     """Standard uncertainty (p,) of each column of the design, and whether more is left than both noises explain."""
-    residual, influence = best.residual, np.linalg.pinv(best.design)
+    residual, influence = best.residual, np.asarray(np.linalg.pinv(best.design), np.float64)
     # Between two strokes x jumps; that is one difference of thousands.
     noise = float(np.mean(np.diff(residual) ** 2)) / 2.0
     left = best.squares / (residual.size - best.design.shape[1]) - noise
     surveyed = best.gain**2 * float(np.mean(straightness.noise.deviation**2))
     variance = noise * np.sum(influence**2, axis=1)
     if left <= _MORE * surveyed + 4.0 * noise * np.sqrt(3.0 / residual.size):
-        errors = influence @ cubic_spline(independent, np.eye(independent.size))(best.u)
+        errors = point_weights(independent, best.u, influence)
         return np.sqrt(variance + surveyed * np.sum(errors**2, axis=1)), False
     # Over pieces of x: the spectra of the influence on each parameter and of what is left, from wave to wave the mean
     # of three.

@@ -18,6 +18,7 @@ pairs, so that the separated runs have the noise of the measurement; its standar
 that between the runs of both surveys, since all results are linear in the readings.
 """
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import MAP
 from straightcomp_ros.analysis.straightness_statement import Input, Statement, stated
+from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.smoothing import measured, point_noise
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -39,6 +41,9 @@ _LOUDEST = 10.0
 
 _LONGEST = 0.1
 """Of the length: over fewer than ten periods, waves of the shift's length are hardly told from others."""
+_MOST = 3000
+"""Points of two surveys between which something was shifted: the equations of the edge's spline are a matrix of so many
+rows and columns, whose decomposition takes a minute."""
 _SMOOTH = 1e-12
 """Third difference of a form of unit length that is a parabola but for rounding; a cubic over 2000 points has 1e-8."""
 
@@ -63,24 +68,33 @@ class Separated(NamedTuple):
 
 
 def separated(
-    normal: Survey, second: Survey, shift: float = 0.0, moved: Literal["straightedge", "sensor"] = "straightedge"
+    normal: Survey,
+    second: Survey,
+    shift: float = 0.0,
+    moved: Literal["straightedge", "sensor"] = "straightedge",
+    guide: MapParameters = MAP,
 ) -> Separated:
     """Guide and edge from the survey with the straightedge as it was and a ``second`` one: with it turned over, or
-    where ``shift`` is not 0, with straightedge or sensor ``moved`` by so much in m towards larger x.
+    where ``shift`` is not 0, with straightedge or sensor ``moved`` by so much in m towards larger x. ``guide`` says
+    how many points a survey needs and how wide a gap may be.
 
     Raises:
         SurveyError: the surveys do not cover the same x, or have no direction in common; a shift that is less than the
-            spacing or more than a tenth of the length.
+            spacing or more than a tenth of the length, or between more points than can be solved for.
     """
     every = (*normal.runs, *second.runs)
-    x, values = on_common_grid(Survey(every, f"{normal.source} and {second.source}"), MAP.min_points, MAP.max_gap)
+    x, values = on_common_grid(Survey(every, f"{normal.source} and {second.source}"), guide.min_points, guide.max_gap)
     spacing, length = float(np.median(np.diff(x))), float(np.ptp(x))
     if shift and not spacing - 1e-9 <= abs(shift) <= _LONGEST * length + 1e-9:
         raise SurveyError(
             f"survey {second.source}: shifted by {shift * 1e3:g} mm; allowed: from the spacing of the points, "
             f"{spacing * 1e3:g} mm, to a tenth of their length, {_LONGEST * length * 1e3:g} mm"
         )
-    of_edge, of_guide = _shifted(x, shift, moved) if shift else _reversed(x)
+    if shift and x.size > _MOST:
+        raise SurveyError(
+            f"survey {second.source}: {x.size} points in the range that all runs cover; allowed with a shift: "
+            f"<= {_MOST}; give surveys with points farther apart"
+        )
     first, other = values[: len(normal.runs)], values[len(normal.runs) :]
     pairs = list[tuple[str, Direction, Array]]()
     ways: tuple[Direction, ...] = ("forward", "backward")
@@ -93,34 +107,52 @@ def separated(
     if not pairs:
         raise SurveyError(f"survey {second.source}: has no run in a direction of {normal.source}; allowed: the same")
     noises = [point_noise(one, x, of_survey, measured(one, x)) for one, of_survey in ((normal, first), (second, other))]
-    each = np.repeat(np.array(noises, np.float64), x.size)
+    known, each = None not in noises, np.array(noises, np.float64)
 
-    def form(name: str, operator: Array) -> Form:
-        survey = Survey(tuple(Run(number, way, x, operator @ readings) for number, way, readings in pairs), name)
+    def form(name: str, part: _Part) -> Form:
+        survey = Survey(tuple(Run(number, way, x, part.made(readings)) for number, way, readings in pairs), name)
         mean = repeatability(survey, x, np.array([run.deviation for run in survey.runs])).mean
-        errors = operator * each
-        s = np.sqrt(np.sum(errors**2, axis=1))
-        noise = None if None in noises else rms(s)
-        source = Input("noise", noise, x, form=errors / (noise or 1.0))
+        source = part.source if known else part.source._replace(uncertainty=None)
         lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False)
-        return Form(survey, mean, None if noise is None else s, lines)
+        return Form(survey, mean, part.s if known else None, lines)
 
+    of_edge, of_guide = _shifted(x, each, shift, moved) if shift else _reversed(x, each)
     return Separated(form("guide", of_guide), form("edge", of_edge), x, len(every) - 2 * len(pairs))
 
 
-def _levelling(x: Array, powers: int = 2) -> Array:
-    """What takes the least squares line, or with one power the mean, out of values at ``x``: (n, n)."""
-    basis = np.linalg.qr(np.vander((x - x.mean()) / np.ptp(x), powers))[0]
-    return np.asarray(np.eye(x.size) - basis @ basis.T)
+class _Part(NamedTuple):
+    """How edge or guide is ``made`` of the readings (2 n,) of both surveys, and what their noise leaves in it: its
+    standard deviation (n,) in m, and the source of errors of its straightness."""
+
+    made: Callable[[Array], Array]
+    s: Array
+    source: Input
 
 
-def _reversed(x: Array) -> tuple[Array, Array]:
-    """What makes edge and guide of the readings (2 n,) of both surveys: (n, 2 n) each."""
-    level = _levelling(x) / 2.0
-    return np.hstack([level, level]), np.hstack([level, -level])
+def _line(x: Array, powers: int = 2) -> Array:
+    """Orthonormal columns (n, powers) that span the lines at ``x``, or with one power the constants."""
+    return np.asarray(np.linalg.qr(np.vander((x - x.mean()) / np.ptp(x), powers))[0])
 
 
-def _shifted(x: Array, shift: float, moved: str) -> tuple[Array, Array]:
+def _reversed(x: Array, noises: Array) -> tuple[_Part, _Part]:
+    """Edge and guide by reversal; ``noises`` (2,) in m are those of a reading in each survey. Without matrices of n
+    columns: there may be tens of thousands of points."""
+    line, noise = _line(x), float(np.hypot(*noises)) / 2.0
+
+    def half(sign: float) -> Callable[[Array], Array]:
+        def made(readings: Array) -> Array:
+            mean = (readings[: x.size] + sign * readings[x.size :]) / 2.0
+            return np.asarray(mean - line @ (line.T @ mean))
+
+        return made
+
+    s = noise * np.sqrt(1.0 - np.sum(line**2, axis=1))
+    # Straightness about any line is the same with and without one in the errors.
+    source = Input("noise", noise, x)
+    return _Part(half(1.0), s, source), _Part(half(-1.0), s, source)
+
+
+def _shifted(x: Array, noises: Array, shift: float, moved: str) -> tuple[_Part, _Part]:
     """As :func:`_reversed`, where straightedge or sensor was moved."""
     # SciPy's linear algebra takes a while to import, and a verb's help needs none of it.
     from scipy.linalg import pinv
@@ -129,7 +161,7 @@ def _shifted(x: Array, shift: float, moved: str) -> tuple[Array, Array]:
     low, high = min(x[0], x[0] - shift), max(x[-1], x[-1] - shift)
     knots = np.linspace(low, high, 1 + round((high - low) / float(np.median(np.diff(x)))))
     before, after = (cubic_spline(knots, np.eye(knots.size))(at) for at in (x, x - shift))
-    free = _levelling(x, 2 if aligned_anew else 1)
+    level, free = (np.eye(x.size) - line @ line.T for line in (_line(x), _line(x, 2 if aligned_anew else 1)))
     left, sizes, right = np.linalg.svd(free @ (before - after), full_matrices=True)
     seen = int(np.count_nonzero(sizes * np.sqrt(knots.size) * _LOUDEST > 1.0))
     solution = right[:seen].T @ (left[:, :seen] / sizes[:seen]).T @ free
@@ -137,6 +169,12 @@ def _shifted(x: Array, shift: float, moved: str) -> tuple[Array, Array]:
     smoothest = solution - unseen @ pinv(rough @ unseen, atol=_SMOOTH) @ (rough @ solution)
     difference = np.hstack([np.eye(x.size), -np.eye(x.size)])
     edges = smoothest @ difference
-    level = _levelling(x)
     mean = np.hstack([np.eye(x.size), np.eye(x.size)]) - (before + after) @ edges
-    return level @ before @ edges, level @ mean / 2.0
+
+    def part(operator: Array) -> _Part:
+        errors = operator * np.repeat(noises, x.size)
+        s = np.sqrt(np.sum(errors**2, axis=1))
+        noise = rms(s)
+        return _Part(operator.__matmul__, s, Input("noise", noise, x, form=errors / (noise or 1.0)))
+
+    return part(level @ before @ edges), part(level @ mean / 2.0)

@@ -109,6 +109,20 @@ def test_a_shift_separates_a_smooth_straightedge_of_ten_times_the_guide_but_for_
         assert apart - np.polyval(np.polyfit(X, apart, powers), X) == pytest.approx(0.0, abs=1e-8)
 
 
+@pytest.mark.parametrize("points", [4000, *nightly([20_000])])
+def test_reversal_takes_thousands_of_points_and_a_shift_refuses_more_than_it_can_solve_for(points):
+    x = np.linspace(0.0, 1.0, points)
+    guide, edge = 1e-6 * np.sin(9.0 * x), cosine(x)
+    normal, turned = (
+        Survey(tuple(Run(str(k), "forward", x, line + 1e-7 * (-1) ** k) for k in range(2)))
+        for line in (guide + edge, edge - guide)
+    )
+    found = separated(normal, turned)
+    assert found.guide.mean == pytest.approx(guide - np.polyval(np.polyfit(x, guide, 1), x), abs=1e-12)
+    with pytest.raises(SurveyError, match=f"{points} points"):
+        separated(normal, turned, 0.05)
+
+
 @pytest.mark.parametrize("moved", ["straightedge", "sensor"])
 def test_waves_of_the_straightedge_as_long_as_the_shift_stay_in_the_guide(moved):
     wave = 1e-6 * np.sin(2.0 * np.pi * X / 0.1)
