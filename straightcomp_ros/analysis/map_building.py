@@ -7,6 +7,7 @@ themselves, as mean and standard deviation do.
 """
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
@@ -41,20 +42,20 @@ _FEWEST = 3
 """Fewest runs of one direction that can be compared: of two that differ, neither is known to be wrong."""
 
 
-MAP = MapParameters()
-"""Requirements on the map."""
+MAP = MapParameters(travel=math.inf)
+"""Of a map that is made for no described stage: whose platform follows it, and how far, is not known."""
 
 
 class Choices(NamedTuple):
     """Settings of the builder: ``step``, the length in m of the piece of x that makes one point of a run on the fly;
     ``limit``, the number of robust standard deviations beyond which a value is an outlier; and whether the map is made
     ``level``: the least squares line of the mean is taken out, since straight edge and guide were not parallel.
-    ``smooth`` is that of :class:`MapParameters`."""
+    ``guide`` says what is demanded of the survey, and how the map is made of it."""
 
     step: float
     limit: float
     level: bool = False
-    smooth: str = MAP.smooth
+    guide: MapParameters = MAP
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +118,12 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
     come from, ``inputs`` are words for the provenance. SurveyError if the runs do not fit together, too few are left,
     or the correction exceeds the platform's travel.
     """
-    kept, lost_runs, lost_points = agreeing(survey, choices.limit)
+    guide = choices.guide
+    kept, lost_runs, lost_points = agreeing(survey, choices.limit, guide)
     if not kept:
         raise SurveyError(f"survey {survey.source}: no run is left after the rejection of outliers")
     of_kept = replace(survey, runs=tuple(kept))
-    x, values = on_common_grid(of_kept, MAP.min_points, MAP.max_gap)
+    x, values = on_common_grid(of_kept, guide.min_points, guide.max_gap)
     mean = repeatability(of_kept, x, values).mean
     slope, height = np.polyfit(x, mean, 1) if choices.level else (0.0, float(mean.mean()))
 
@@ -130,7 +132,7 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         return replace(survey, runs=tuple(ours))
 
     measured, survey = zeroed(survey.runs), zeroed(kept)
-    straightness = StraightnessMap(survey, replace(MAP, smooth=choices.smooth))
+    straightness = StraightnessMap(survey, guide)
     by, spread = origin(), straightness.report.bidirectional
     provenance = {
         **survey.facts,
@@ -139,7 +141,7 @@ def build(survey: Survey, source: Path, choices: Choices, inputs: Mapping[str, s
         "source": f"{source.absolute().name}, sha256 {_digest(source)}",
         **(inputs or {}),
         "choices": f"step {choices.step * 1e3:g} mm, outliers beyond {choices.limit:g} robust standard deviations, "
-        f"{'least squares line' if choices.level else 'mean'} taken out, stage.guide.smooth {choices.smooth}",
+        f"{'least squares line' if choices.level else 'mean'} taken out, stage.guide.smooth {guide.smooth}",
         "runs": f"{len(survey.in_direction('forward'))} forward, {len(survey.in_direction('backward'))} backward; "
         f"rejected runs: {', '.join(lost_runs) or 'none'}; rejected points: {len(lost_points)}",
         "noise": f"{'taken off' if straightness.noise.smoothed else 'left in'}; {straightness.noise}",
@@ -155,10 +157,12 @@ def as_it_is(guide: MapParameters) -> BuiltMap:
     return BuiltMap(straightness, [], [], straightness.survey.facts, straightness.survey)
 
 
-def agreeing(survey: Survey, limit: float) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
+def agreeing(
+    survey: Survey, limit: float, guide: MapParameters = MAP
+) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
     """The runs without outliers, in their order; names of rejected runs; rejected points. SurveyError if the runs do
-    not fit together."""
-    x, values = on_common_grid(survey, MAP.min_points, MAP.max_gap)
+    not fit together as ``guide`` demands."""
+    x, values = on_common_grid(survey, guide.min_points, guide.max_gap)
     outlier = np.zeros(values.shape, np.bool_)
     rejected = np.zeros(len(values), np.bool_)
     for direction in ("forward", "backward"):
@@ -171,7 +175,7 @@ def agreeing(survey: Survey, limit: float) -> tuple[list[Run], list[str], list[t
         # The run's own point nearest to each bad point of the grid.
         nearest = np.unique([int(np.abs(run.x - at).argmin()) for at in x[bad]]).astype(np.intp)
         left = np.delete(run.x, nearest)
-        if gone or left.size < 2 or np.diff(left).max() > MAP.max_gap + 1e-9:
+        if gone or left.size < 2 or np.diff(left).max() > guide.max_gap + 1e-9:
             lost.append(label)
             continue
         points += [(label, float(run.x[index])) for index in nearest]

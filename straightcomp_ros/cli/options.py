@@ -7,10 +7,13 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.parameters.output_files import check_writable, same_or_within
+
+if TYPE_CHECKING:
+    from straightcomp_ros.straightness.guide_map import MapParameters
 
 
 def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
@@ -187,6 +190,23 @@ def add_setting_option(parser: argparse.ArgumentParser) -> None:
 def add_stage_argument(parser: argparse.ArgumentParser) -> None:
     """Add the stage file as an argument of its own."""
     parser.add_argument("file", metavar="STAGE", help="stage file")
+
+
+def add_guide_option(parser: argparse.ArgumentParser) -> None:
+    """Add --stage-file, of which :func:`chosen_guide` makes the demands on a survey."""
+    text = "stage file, whose stage.guide demands of the survey and makes its map (default: no stage's; any travel)"
+    parser.add_argument("--stage-file", metavar="FILE", help=text)
+
+
+def chosen_guide(options: argparse.Namespace) -> "MapParameters":
+    """``stage.guide`` of the stage file of :func:`add_guide_option`, or that of no described stage; raises
+    ParameterError."""
+    from straightcomp_ros.analysis.map_building import MAP
+    from straightcomp_ros.parameters.node_parameters import node_parameters
+
+    if options.stage_file is None:
+        return MAP
+    return node_parameters("controller", _checked(None, options.stage_file, {})).stage.guide
 
 
 def chosen_parameters(options: argparse.Namespace) -> Values:

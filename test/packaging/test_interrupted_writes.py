@@ -55,7 +55,7 @@ EMPTY = {"bench graph --output"}
 """It writes into a new or empty folder."""
 READ = re.compile(
     "--(bag|board|certificates|check-survey|compare|firmware|limits|logs|maintenance|map|params-file|server-certificate|"
-    "socket|stage|survey)|bag|bags|file|log|sources?|stage|store|survey"
+    "socket|stage|stage-file|survey)|bag|bags|file|log|sources?|stage|store|survey"
 )
 PATHS = {"BAG", "BAG2", "CSV", "DIR", "FILE", "FOLDER", "LOG", "PATH", "SOURCE", "STAGE", "STORE"}
 LONG = {"reproduce --output": 5}

@@ -147,6 +147,7 @@ history add none | history report none | history advise none | history query non
 incident none | incident open none | map reverse none none -o x | map align none none | bench step --stage none |
 map build wrong_unit.csv | map reverse wrong_unit.csv none -o x | map align wrong_unit.csv none |
 commission stage.yaml -o x --check-survey none | dsp --stage none | map align {SURVEY_CSV} none |
+map build {SURVEY_CSV} --stage-file none |
 history map none x --survey none | can firmware none -o x | commission none -o x
 """
 

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judgement import IN_ORDER, WRONG_GUIDE
-from straightcomp_ros.analysis.map_building import OUTLIERS, BuiltMap, Choices, build
+from straightcomp_ros.analysis.map_building import MAP, OUTLIERS, BuiltMap, Choices, build
 from straightcomp_ros.analysis.record import whole
 from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
 from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, Array, on_one_grid
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey
 from straightcomp_ros.straightness.survey_table import Direction
@@ -54,17 +54,17 @@ class Proposal:
         }
 
 
-def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
+def proposed_map(strokes: pyarrow.Table, old: Path, days: float, guide: MapParameters = MAP) -> Proposal:
     """The map from the ``strokes`` of a stage, in the order of their start, within ``days`` before the last one.
 
     Few enough days that the guide moves little in them, many enough to average readings. ``old`` is the survey that
-    these strokes used.
+    these strokes used, and ``guide`` says what is demanded of it, and how maps are made.
 
     Raises:
         MaintenanceError: too few strokes have a displacement sensor, or ran with another map.
         SurveyError: a map is refused.
     """
-    before = StraightnessMap(read_survey(old))
+    before = StraightnessMap(read_survey(old, min_points=guide.min_points, max_gap=guide.max_gap), guide)
     checksum = checksum_of([old.read_bytes()])
     rows = strokes.select(_COLUMNS).to_pylist()
     recent = [n for n, row in enumerate(rows) if rows[-1]["start"] - row["start"] <= timedelta(days=days)]
@@ -112,7 +112,8 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float) -> Proposal:
         f"in {_RUNS} groups each way, by their displacement sensor",
         "changes": f"map {old.name}, BLAKE2b {checksum}",
     }
-    built = build(Survey(tuple(runs), str(old)), old, Choices(step=1e-3 * BIN_MM, limit=OUTLIERS), inputs)
+    choices = Choices(step=1e-3 * BIN_MM, limit=OUTLIERS, guide=guide)
+    built = build(Survey(tuple(runs), str(old)), old, choices, inputs)
     made = built.provenance["made by"].replace("map build", "history map")
     built = replace(built, provenance={**built.provenance, "made by": made})
     at = built.straightness.report.x

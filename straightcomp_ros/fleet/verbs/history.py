@@ -25,9 +25,11 @@ from straightcomp_ros.cli.options import (
     PICTURES,
     add_dask,
     add_force,
+    add_guide_option,
     add_json,
     add_repeatable,
     check_range,
+    chosen_guide,
     output_file,
     output_folder,
     whole_number,
@@ -231,6 +233,7 @@ def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add_force(parser)
     add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
+    add_guide_option(parser)
     add_json(parser)
 
 
@@ -250,7 +253,8 @@ def _map(options: argparse.Namespace) -> None:
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     if output is not None and output.resolve() == old:
         raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
-    proposal = proposed_map(Store(options.store).strokes(options.stage), Path(old), options.days)
+    guide = chosen_guide(options)
+    proposal = proposed_map(Store(options.store).strokes(options.stage), Path(old), options.days, guide)
     if output is not None:
         proposal.built.write(output)
     if plot is not None:

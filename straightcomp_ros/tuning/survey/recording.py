@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, MAP, BuiltMap, Choices, build
+from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Choices, build
 from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole_ways
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
@@ -222,15 +222,16 @@ def build_from_series(
 ) -> tuple[BuiltMap, tuple[Passage, ...]]:
     """Recognise the runs of a recording, and :func:`build` the map with these ``facts``; SurveyError also if there is
     no run."""
+    guide = choices.guide
     passages, partial = recognise(series, choices.step, choices.limit)
     for run in (passage.run for passage in passages):
         where = f"survey {series.source}, run '{run.name}' {run.direction}"
-        if run.x.size < MAP.min_points:
+        if run.x.size < guide.min_points:
             raise SurveyError(
-                f"{where}: {run.x.size} points; allowed: >= {MAP.min_points} (min_points): "
+                f"{where}: {run.x.size} points; allowed: >= {guide.min_points} (min_points): "
                 f"a smaller step than {choices.step * 1e3:g} mm gives more"
             )
-        check_run(where, run, MAP.max_gap)
+        check_run(where, run, guide.max_gap)
     built = build(Survey(tuple(p.run for p in passages), series.source, facts), source, choices, series.inputs)
     counts = {
         "partial_runs": partial,

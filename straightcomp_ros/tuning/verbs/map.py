@@ -1,7 +1,7 @@
 """Work on the map of the guide: import surveys of instruments and controllers, export the map."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -9,12 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.map_building import OUTLIERS, BuiltMap, Choices, agreeing, build
+from straightcomp_ros.analysis.map_building import MAP, OUTLIERS, BuiltMap, Choices, agreeing, build
 from straightcomp_ros.bags import noting_warnings
 from straightcomp_ros.bags.fields import Field
 from straightcomp_ros.bags.folder import STORED
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import PICTURES, add_force, add_json, add_repeatable, check_range, output_file
+from straightcomp_ros.cli.options import (
+    PICTURES,
+    add_force,
+    add_guide_option,
+    add_json,
+    add_repeatable,
+    check_range,
+    chosen_guide,
+    output_file,
+)
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_warnings, print_written
 from straightcomp_ros.cli.results import figures_table
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, STAGE
@@ -59,13 +68,16 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
         help="robust standard deviations (default: %(default)g)",
     )
     add("--level", action="store_true", help="take the least squares line out, not only the mean")
-    smooth = "auto, none or a factor of auto: how much noise the map leaves out (default: %(default)s)"
-    add("--smooth", default="auto", metavar="HOW", help=smooth)
+    smooth = (
+        f"auto, none or a factor of auto: how much noise the map leaves out (default: the stage's, or {MAP.smooth})"
+    )
+    add("--smooth", metavar="HOW", help=smooth)
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     for quantity in ("x", "deviation"):
         own = f"the CSV file's own name for the column of {quantity}, which ends with its unit"
         add(f"--{quantity}-column", metavar="NAME", help=own)
     _add_notes(parser)
+    add_guide_option(parser)
     add_json(parser)
     _add_sensor(parser)
 
@@ -110,7 +122,8 @@ def _build(options: argparse.Namespace) -> None:
         check_range(f"--{name}", getattr(options, name), low, high)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     with noting_warnings() as texts:
-        built, passages = _built(options)
+        guide = chosen_guide(options)
+        built, passages = _built(options, guide)
     print_warnings(texts)
     if output is not None:
         built.write(output)
@@ -134,7 +147,7 @@ def _build(options: argparse.Namespace) -> None:
             f"hysteresis of up to {built.straightness.hysteresis * 1e6:.2g} µm is more than the noise: the map has a "
             "table for each direction"
         )
-    if options.smooth != "auto":
+    if options.smooth not in (None, guide.smooth):
         notes.print(f"the file has the runs as measured: set stage.guide.smooth to {options.smooth} for this map")
     if built.straightness.report.short_of_the_standard:
         notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
@@ -142,16 +155,14 @@ def _build(options: argparse.Namespace) -> None:
         print_written(*filter(None, (output, plot)), then="name the map in stage.guide.file; straightcomp stage check")
 
 
-def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
-
+def _built(options: argparse.Namespace, guide: MapParameters) -> tuple[BuiltMap, tuple[Passage, ...]]:
     try:
-        choices = Choices(
-            options.step * 1e-3, options.outliers, options.level, MapParameters(smooth=options.smooth).smooth
-        )
+        guide = replace(guide, smooth=options.smooth or guide.smooth)
     except ParameterError as error:
         raise CommandFailed(f"--smooth: {error}", exit_code=2) from error
+    choices = Choices(options.step * 1e-3, options.outliers, options.level, guide)
     source, noted = Path(options.source), _noted(options)
-    read = _read(source, options)
+    read = _read(source, options, guide)
     try:
         if isinstance(read, Series):
             return build_from_series(read, source, choices, noted)
@@ -161,8 +172,8 @@ def _built(options: argparse.Namespace) -> tuple[BuiltMap, tuple[Passage, ...]]:
         raise CommandFailed(str(error)) from error
 
 
-def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
-    """What a bag or a CSV file has recorded over time, or the survey in a file."""
+def _read(source: Path, options: argparse.Namespace, guide: MapParameters) -> Series | Survey:
+    """What a bag or a CSV file has recorded over time, or the survey in a file as ``guide`` demands it."""
 
     if not source.exists():
         raise CommandFailed(f"survey {source} does not exist; give a bag or a CSV file", exit_code=2)
@@ -183,12 +194,17 @@ def _read(source: Path, options: argparse.Namespace) -> Series | Survey:
         return series_of_bag(source, stage, Sensor(readings, unit, options.invert, delay * 1e-3, on_platform))
     own = {quantity: getattr(options, f"{quantity}_column", None) for quantity in ("x", "deviation")}
     names = {quantity: name for quantity, name in own.items() if name is not None}
-    read = series_of_csv(source, names) or read_survey(source, names=names)
+    read = series_of_csv(source, names) or _survey(source, guide, names)
     if not options.invert:
         return read
     if isinstance(read, Series):
         return replace(read, deviation=-read.deviation, inputs={**read.inputs, "sign": "inverted"})
     return replace(_negated(read), facts={**read.facts, "sign": "inverted"})
+
+
+def _survey(source: str | Path, guide: MapParameters, names: Mapping[str, str] | None = None) -> Survey:
+    """The survey in a file as ``guide`` demands it."""
+    return read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap, names=names)
 
 
 def _negated(survey: Survey) -> Survey:
@@ -295,9 +311,10 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
 
     add = parser.add_argument
     add("--output", "-o", required=True, metavar="FILE", help="error table to write")
-    add("--survey", metavar="CSV", default=MapParameters.file, help="survey of the map (default: %(default)s)")
+    add("--survey", metavar="CSV", help=f"survey of the map (default: the stage's, or {MapParameters.file})")
     add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
     _add_table_options(parser, written=True)
+    add_guide_option(parser)
     add_force(parser)
     add_json(parser)
 
@@ -309,8 +326,11 @@ def _export(options: argparse.Namespace) -> None:
     motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
     conventions = _chosen_conventions(options)
     check_range("--spacing", options.spacing, 0.1, 1000.0, "mm")
+    guide = chosen_guide(options)
+    # Before the output is named: the survey is an input of this command, also where no option names it.
+    options.survey = options.survey or guide.file
     output = output_file(options, "--output")
-    straightness = load_map(MapParameters(file=options.survey))
+    straightness = load_map(replace(guide, file=options.survey))
     points, error = sampled(straightness, options.spacing * 1e-3)
     name = format_of(output, options.format)
     if name not in WRITTEN:
@@ -353,6 +373,7 @@ def _reverse_arguments(parser: argparse.ArgumentParser) -> None:
     add("--shift", type=float, metavar="MM", help="SURVEY_2 is not turned over, but moved by this towards larger x")
     moved = "what was moved by --shift (default: %(default)s)"
     add("--moved", choices=("straightedge", "sensor"), default="straightedge", help=moved)
+    add_guide_option(parser)
     add_force(parser)
     add_json(parser)
 
@@ -368,9 +389,10 @@ def _reverse(options: argparse.Namespace) -> None:
     output, edge, shift = output_file(options, "--output"), output_file(options, "--edge"), options.shift
     if shift is not None:
         check_range("--shift", abs(shift), 0.01, 10_000.0, "mm")
-    normal, second = read_survey(options.normal), read_survey(options.second)
+    guide = chosen_guide(options)
+    normal, second = _survey(options.normal, guide), _survey(options.second, guide)
     try:
-        found = separated(normal, second, (shift or 0.0) * 1e-3, options.moved)
+        found = separated(normal, second, (shift or 0.0) * 1e-3, options.moved, guide)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error
     names = f"{Path(options.normal).name} and {Path(options.second).name}"
@@ -409,6 +431,7 @@ def _align_arguments(parser: argparse.ArgumentParser) -> None:
     add("--residual", action="store_true", help="the readings are what is left with this map, not the guide itself")
     add("--tilt", action="store_true", help="correct the tilt too: the sensor's line becomes the map's")
     _add_notes(parser)
+    add_guide_option(parser)
     add_force(parser)
     add_json(parser)
     _add_sensor(parser)
@@ -424,14 +447,16 @@ def _align(options: argparse.Namespace) -> None:
     for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0)):
         check_range(f"--{name}", getattr(options, name), low, high)
     output, noted = output_file(options, "--output"), _noted(options)
-    survey = read_survey(options.survey)
-    straightness, strokes = StraightnessMap(survey, MapParameters(travel=0.01)), []
+    # What is not aligned yet may reach farther than the platform.
+    guide = replace(chosen_guide(options), travel=MAP.travel)
+    survey = _survey(options.survey, guide)
+    straightness, strokes = StraightnessMap(survey, guide), []
     for source in map(Path, options.sources):
-        read = _read(source, options)
+        read = _read(source, options, guide)
         if isinstance(read, Series):
             passages = recognise(read, options.step * 1e-3, OUTLIERS)[0]
             read = Survey(tuple(one.run for one in passages), str(source))
-        kept, rejected, _ = agreeing(read, OUTLIERS)
+        kept, rejected, _ = agreeing(read, OUTLIERS, guide)
         strokes += kept
         for name in rejected:
             notes.print(f"{source}: run {name} is rejected: it differs from the others")

@@ -15,7 +15,7 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.messages.cdr import ENCAPSULATION, joint_state
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
-from straightcomp_ros.straightness.survey import read_survey, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.recording import (
     Sensor,
@@ -93,6 +93,45 @@ def test_stops_make_points_of_their_second_halves():
     for passage in passages:
         assert passage.at_rest and 38 <= passage.run.x.size <= 41
         assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
+
+
+DEMANDS = {
+    # Points, length in m, amplitude in m, and what a stage's description says for such a guide.
+    "travel": (81, 0.4, 250e-6, "travel: 3.0e-4"),
+    "points": (12, 0.4, 5e-6, "min_points: 12"),
+    "gaps": (41, 4.0, 5e-6, "max_gap: 0.1"),
+}
+
+
+@pytest.mark.parametrize(("points", "length", "amplitude", "fact"), DEMANDS.values(), ids=DEMANDS)
+def test_the_map_s_tools_demand_of_a_survey_what_the_stage_does(
+    tmp_path, monkeypatch, verb, points, length, amplitude, fact
+):
+    monkeypatch.chdir(tmp_path)
+
+    def one(x):
+        return amplitude * np.sin(2.0 * np.pi * x / (0.7 * length))
+
+    for name, at in (("survey", np.linspace(0.0, length, points)), ("strokes", np.linspace(0.0, length, 400))):
+        runs = tuple(Run("1", way, at, one(at)) for way in ("forward", "backward"))
+        write_survey(f"{name}.csv", Survey(runs))
+    described = ["guide.file: survey.csv", "guide.direction: both", f"guide.{fact}"]
+    (tmp_path / "stage.yaml").write_text(
+        "/**:\n  ros__parameters:\n" + "".join(f"    stage.{line}\n" for line in described)
+    )
+    of_stage = ["--stage-file", "stage.yaml", "--json"]
+    assert verb("map", "build", "survey.csv", *of_stage).json["points"] == points
+    assert verb("map", "align", "survey.csv", "strokes.csv", *of_stage).json["shift_mm"] == pytest.approx(0, abs=0.1)
+    assert verb("map", "reverse", "survey.csv", "survey.csv", "-o", "g.csv", *of_stage).json["points"] == points
+    # Both tables of the stage's map, of the stage's survey.
+    exported = verb("map", "export", "-o", "t.comp", "--spacing", 50, *of_stage).json
+    assert exported["directions"] == 2 and exported["survey"] == str(tmp_path / "survey.csv")
+    # Without a stage nothing is known of a platform's travel.
+    code = 0 if fact.startswith("travel") else 2
+    for command in (["build", "survey.csv"], ["export", "-o", "u.comp", "--survey", "survey.csv", "--spacing", 50]):
+        assert verb("map", *command).code == code
+    (tmp_path / "small.yaml").write_text("/**:\n  ros__parameters:\n    stage.guide.travel: 1.0e-6\n")
+    assert verb("map", "build", "strokes.csv", "--stage-file", "small.yaml").code == 1
 
 
 def test_the_sample_survey_gives_the_guide_that_it_was_made_of(tmp_path, verb):
