@@ -2,7 +2,8 @@
 
 A recording has the stage's x and the sensor's reading. Two ways of measuring are recognised. *On the fly*: the stage
 passes without a stop; the readings within each ``step`` of x make one point, at their mean x. *At rest*: the stage
-stops at each point; the readings of the second half of each stop make one.
+stops at each point; the readings of the second half of each stop make one. The stop at which it turns back is the last
+point of one run and the first of the next.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,6 +18,7 @@ from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Ch
 from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole_ways
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
+from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import Run, Survey, check_run
 from straightcomp_ros.straightness.survey_table import (
     DEVIATION,
@@ -151,9 +153,11 @@ class Passage(NamedTuple):
     rejected_samples: int
 
 
-def recognise(series: Series, step: float, limit: float) -> tuple[tuple[Passage, ...], int]:
-    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start);
-    SurveyError if the stage does not move.
+def recognise(
+    series: Series, step: float, limit: float, max_gap: float = MapParameters.max_gap
+) -> tuple[tuple[Passage, ...], int]:
+    """The whole runs of a survey, and the number of movements that were not whole (broken off, or to the start): that
+    begin or end farther than ``max_gap`` in m from where most do. SurveyError if the stage does not move.
 
     On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
     """
@@ -161,25 +165,31 @@ def recognise(series: Series, step: float, limit: float) -> tuple[tuple[Passage,
         strokes = motion_of(series.time, series.x).strokes
     except MetricsError as error:
         raise SurveyError(f"survey {series.source}: {str(error).removeprefix('record: ')}") from error
-    ends = dict(zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True))
+    rests = dict(zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True))
     ways, partial = whole_ways(strokes, series.x)
+    ends = np.sort([[series.x[way[0].start], series.x[way[-1].stop - 1]] for way in ways])
+    near = np.abs(ends - np.median(ends, axis=0)).max(axis=1) <= max_gap
+    # Of two that differ neither is known to be whole.
+    chosen = [way for way, is_near in zip(ways, near.tolist(), strict=True) if is_near] or ways
     passages: list[Passage] = []
-    for way in ways:
+    for way in chosen:
         name = str(1 + sum(passage.run.direction == way[0].direction for passage in passages))
         # Each move with the end of the rest after it.
-        passages.append(_passage(series, [(one, ends[one]) for one in way], name, step, limit))
-    return tuple(passages), len(partial)
+        passages.append(_passage(series, [(one, rests[one]) for one in way], name, step, limit))
+    return tuple(passages), len(partial) + len(ways) - len(chosen)
 
 
 def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
     begin, end = moves[0][0].start, moves[-1][0].stop
-    stops = [
-        (move.stop, rest_end)
-        for move, rest_end in moves
-        if rest_end > move.stop and series.time[rest_end - 1] - series.time[move.stop] >= _STOP
-    ]
+    stops = [(move.stop, rest_end) for move, rest_end in moves if _stands(series, move.stop, rest_end)]
     at_rest = len(stops) >= _FEWEST_STOPS
     if at_rest:
+        # The stand before the first move is a stop of this run too.
+        away = np.flatnonzero(np.abs(series.x[:begin] - series.x[begin - 1]) >= SHORTEST_STROKE)
+        arrived = int(away[-1]) + 1 if away.size else 0
+        if _stands(series, arrived, begin):
+            stops.append((arrived, begin))
+        stops.sort(key=lambda stop: float(series.x[stop[1] - 1]))
         # The second half of each stop, when vibration from the motion has decayed.
         pieces = [np.arange((first + stop) // 2, stop) for first, stop in stops]
         chosen = np.concatenate(pieces)
@@ -192,6 +202,11 @@ def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, ste
     run = Run(name, moves[0][0].direction, *group_means(series.x[chosen][~bad], values[~bad], group[~bad]))
     start = float(series.time[begin])
     return Passage(run, start, float(series.time[end - 1]) - start, at_rest, len(chosen), int(bad.sum()))
+
+
+def _stands(series: Series, first: int, stop: int) -> bool:
+    """Whether the stand from sample ``first`` to ``stop`` is long enough for a measurement."""
+    return bool(stop > first and series.time[stop - 1] - series.time[first] >= _STOP)
 
 
 def spikes(residual: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
@@ -223,14 +238,13 @@ def build_from_series(
     """Recognise the runs of a recording, and :func:`build` the map with these ``facts``; SurveyError also if there is
     no run."""
     guide = choices.guide
-    passages, partial = recognise(series, choices.step, choices.limit)
-    for run in (passage.run for passage in passages):
+    passages, partial = recognise(series, choices.step, choices.limit, guide.max_gap)
+    for passage in passages:
+        run = passage.run
         where = f"survey {series.source}, run '{run.name}' {run.direction}"
         if run.x.size < guide.min_points:
-            raise SurveyError(
-                f"{where}: {run.x.size} points; allowed: >= {guide.min_points} (min_points): "
-                f"a smaller step than {choices.step * 1e3:g} mm gives more"
-            )
+            more = "more stops give" if passage.at_rest else f"a smaller step than {choices.step * 1e3:g} mm gives"
+            raise SurveyError(f"{where}: {run.x.size} points; allowed: >= {guide.min_points} (min_points): {more} more")
         check_run(where, run, guide.max_gap)
     built = build(Survey(tuple(p.run for p in passages), series.source, facts), source, choices, series.inputs)
     counts = {

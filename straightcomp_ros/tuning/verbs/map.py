@@ -454,7 +454,7 @@ def _align(options: argparse.Namespace) -> None:
     for source in map(Path, options.sources):
         read = _read(source, options, guide)
         if isinstance(read, Series):
-            passages = recognise(read, options.step * 1e-3, OUTLIERS)[0]
+            passages = recognise(read, options.step * 1e-3, OUTLIERS, guide.max_gap)[0]
             read = Survey(tuple(one.run for one in passages), str(source))
         kept, rejected, _ = agreeing(read, OUTLIERS, guide)
         strokes += kept

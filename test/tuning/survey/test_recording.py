@@ -91,8 +91,29 @@ def test_stops_make_points_of_their_second_halves():
     passages, _ = recognise(series(time, x, deviation), 5e-3, 6.0)
     assert [p.run.direction for p in passages] == ["forward", "backward"]
     for passage in passages:
-        assert passage.at_rest and 38 <= passage.run.x.size <= 41
+        assert passage.at_rest and passage.run.x == pytest.approx(np.linspace(0.0, LENGTH, 41), abs=1e-9)
         assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
+    built, _ = build_from_series(series(time, x, deviation), SAMPLE, CHOICES, {})
+    assert built.straightness.span == pytest.approx((0.0, LENGTH))
+
+
+def test_too_few_stops_are_refused_without_the_advice_that_is_for_runs_on_the_fly():
+    stops = np.linspace(0.0, LENGTH, 12)
+    time, x = driven(*stops, *stops[-2::-1])
+    with pytest.raises(SurveyError, match=r"12 points; allowed: >= 20 \(min_points\)") as caught:
+        build_from_series(series(time, x, guide(x)), SAMPLE, CHOICES, {})
+    assert "step" not in str(caught.value)
+
+
+@pytest.mark.parametrize("ends", [(0.2, 4, 0, 4, 0, 4, 0), (0, 4, 0, 3.75, 0, 4, 0), (0, 3.8, 0, 4, 0.3, 4, 0, 4, 0)])
+def test_a_run_that_lacks_a_piece_of_a_long_stroke_is_partial_and_the_others_make_the_map(ends):
+    time, x = driven(*ends)
+    built, _ = build_from_series(series(time, x, guide(x)), SAMPLE, CHOICES, {})
+    # What leads back from where a run was broken off lacks the same piece.
+    whole = sum(abs(end - start) == 4 for start, end in itertools.pairwise(ends))
+    assert built.counts["partial_runs"] == len(ends) - 1 - whole
+    assert len(built.straightness.survey.runs) == whole
+    assert built.straightness.span == pytest.approx((0.0, 4.0), abs=5e-3)
 
 
 DEMANDS = {
