@@ -153,7 +153,12 @@ class CanParameters:
     dbc: str = parameter("", "DBC file of the board; empty: config/straightcomp.dbc, for which 'wire' must be left out")
     wire: WireParameters = group(WireParameters)
     node: int = parameter(1, "Node id of the board; the identifiers in the DBC file are those of node 1", "[1, 127]")
-    command_timeout: float = parameter(0.005, "Age of a command from which it is not sent any more", "(0, 1] s")
+    command_timeout: float = parameter(
+        0.005,
+        "Age of a command from which it is not sent any more; four times as long without a command latches a fault "
+        "while the amplifier is on",
+        "(0, 1] s",
+    )
     sample_timeout: float = parameter(
         0.005, "Time without a sample that latches a fault while the amplifier is on", "(0, 1] s"
     )

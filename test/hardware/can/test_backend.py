@@ -22,6 +22,7 @@ from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back, jog
 from straightcomp_ros.model.paced_motion import Pace
+from straightcomp_ros.safety.faults import Fault
 from trials.can import FirmwareBoard
 
 TIMEOUT = 0.005
@@ -222,6 +223,29 @@ def test_what_must_not_happen_latches_a_fault_of_its_name_until_a_reset(running,
     with pytest.raises(HardwareError, match="latched"):
         running.host.enable()
     running.off_again()
+
+
+@pytest.mark.parametrize("can", [CLASSIC, FD, FOREIGN, SPLIT], ids=["classic", "fd", "foreign", "split"])
+def test_commands_that_stop_are_found_where_the_board_has_no_timeout_and_not_before_a_board_finds_them_itself(can):
+    world = World(can)
+    world.board.machine.command_timeout_ns = 10**12
+    # Nor do they count before the amplifier is on.
+    world.commands = False
+    world.run(0.2)
+    world.commands = True
+    world.on().run(0.05, current=0.2)
+    for commands, link in ((False, True), (True, False)):
+        world.commands = commands
+        send = world.host._link.send
+        world.host._link.send = send if link else lambda *frame, **how: False
+        world.run(TIMEOUT + 0.012, current=0.2)
+        assert world.host.state is State.ON and world.board.amplifier is State.ON
+        world.run(0.03 - TIMEOUT - 0.012, current=0.2)
+        assert world.host.fault[0] is Fault.COMMAND_TIMEOUT and world.host.applied_current == 0.0
+        world.host._link.send, world.commands = send, True
+        world.run(0.001)
+        assert world.board.amplifier is State.OFF
+        world.off_again()
 
 
 @pytest.fixture
