@@ -437,6 +437,8 @@ class CellSequence:
             if self._due():
                 self.machine.request("driver/end_motion")
             yield
+        # Also if it seems off: without samples it may be on, or a request to switch it on may still wait.
+        self.machine.request("driver/enable", False)
         yield from self._switching_off()
 
     def _aborting(self) -> Iterator[None]:

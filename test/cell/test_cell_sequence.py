@@ -184,6 +184,20 @@ def test_stop_and_abort_end_the_movement_where_it_can_rest_or_leave_it_and_the_n
             assert bench.seen.x == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("unseen", [{"fresh": False, "amplifier_on": False}, {"amplifier_on": False}])
+def test_stop_asks_for_the_amplifier_off_though_it_seems_off_since_it_may_be_on_or_be_switched_on_yet(unseen):
+    """Without samples, and while a slow driver has yet to answer a request to switch on."""
+    bench = Bench()
+    bench.idle()
+    bench.obeys = False
+    assert not bench.sequence.command(Command.START, 1)
+    bench.tick()
+    assert bench.requests[-1] == "on"
+    bench.see(**unseen)
+    bench.give(Command.STOP, State.STOPPED)
+    assert bench.requests[-1] == "off"
+
+
 def test_a_slower_movement_is_awaited_however_long_it_takes():
     bench = started(1)
     assert bench.ordered(Order.OVERRIDE, 5) and bench.motion.pace.override == 0.05
