@@ -107,8 +107,10 @@ class ViewNode(Runnable):
     def _show(self) -> None:
         seen = self._graph.observation()
         reports = self._graph.reports()
-        self._on = self._own and (self._on or seen.amplifier_on)
-        self._own = self._own and (seen.amplifier_on or not self._on)
+        # What the driver said last: that there are no samples does not switch off.
+        on = self._graph.safety.amplifier_on
+        self._on = self._own and (self._on or on)
+        self._own = self._own and (on or not self._on)
         nodes = {
             node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
             for node, state in seen.nodes.items()

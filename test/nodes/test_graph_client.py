@@ -4,6 +4,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -22,8 +24,10 @@ from rclpy.time import Time
 from std_srvs.srv import SetBool
 from waiting import comes_true
 
+from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE, STAGE_STATE
 from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.nodes import view_node
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.loops import now_ns
@@ -34,6 +38,7 @@ from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import LONGEST_REASON, Fault
 from straightcomp_ros.safety.state_machine import Latched
 from straightcomp_ros.timing.node_timing import SAMPLES
+from straightcomp_ros.timing.realtime import RealtimeParameters
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.graph.waiting_client import WaitingClient
 
@@ -350,3 +355,30 @@ def test_a_status_has_the_time_of_the_samples_unless_that_of_a_simulation_has_co
                 diagnostics.tick()
             assert diagnostics._stamp == (7, 0)
         node.destroy_node()
+
+
+def test_a_live_view_that_switched_on_switches_off_when_it_is_closed_though_no_samples_came_meanwhile(monkeypatch):
+    graph = Mock(safety=SafetyState(), **{"reports.return_value": {}, "fetch.return_value": defaultdict(list)})
+    graph.request.side_effect = lambda service, on, then: then("")
+    for name, stand_in in (("GraphClient", graph), ("RemoteParameters", Mock(values={})), ("ViewServer", Mock())):
+        monkeypatch.setattr(view_node, name, Mock(return_value=stand_in))
+    view = view_node.ViewNode(Mock(), 0, Mock(), RealtimeParameters(), "", None)
+
+    def shown(condition, fresh=True):
+        graph.safety = SafetyState(condition)
+        graph.observation.return_value = Observation(fresh=fresh, amplifier_on=fresh and condition is State.ON)
+        view._fetch()
+        return view.leave() is not None
+
+    def pressed(button):
+        with ThreadPoolExecutor() as pool:
+            answer = pool.submit(button)
+            while not answer.done():
+                view._fetch()
+        return answer.result()
+
+    assert not shown(State.ON)
+    enable = view_node.ViewServer.call_args[0][2]["enable"]
+    assert not shown(State.OFF) and pressed(enable) == "amplifier on"
+    assert [shown(State.OFF), shown(State.ON), shown(State.ON, fresh=False), shown(State.ON)] == [True] * 4
+    assert not shown(State.OFF) and not shown(State.ON)
