@@ -319,8 +319,8 @@ class DriverComponent:
         return done
 
     def _begin_anew(self) -> None:
-        """The amplifier is about to be switched on, or a fault to be cleared."""
-        self._sample_watch.switched()
+        """The amplifier has been switched, or a fault is about to be cleared."""
+        self._sample_watch.switched(self._safety.condition is State.ON)
         if self._safety.fault:
             self._commands.restart()
 

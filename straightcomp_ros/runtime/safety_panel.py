@@ -132,8 +132,8 @@ class SafetyPanel:
 
     It switches off on requests on `trip`, and when a client that commissions the machine leaves the amplifier on.
     ``refusal`` returns why the amplifier may not be switched on now, apart from faults; empty if it may. ``anew`` is
-    called before the amplifier is switched on and before a fault is cleared: what came before counts no more. Unless x
-    is ``referenced`` it means nothing that x is beyond the map.
+    called after the amplifier was switched on or off, and before a fault is cleared: what came before counts no more.
+    Unless x is ``referenced`` it means nothing that x is beyond the map.
     """
 
     def __init__(
@@ -175,13 +175,13 @@ class SafetyPanel:
         else:
             refusal = "" if self._safety.fault else self._refusal()
             if not refusal:
-                self._anew()
                 refusal = self._safety.enable()
                 self._on_for_client = bool(self._client.doing)
         message = f"amplifier {'on' if on else 'off'}"
         if refusal:
             self._refused.log(refusal)
         elif self._safety.condition is not before:
+            self._anew()
             self._node.get_logger().info(f"enable: {message}")
         self.report()
         if refusal:
@@ -191,7 +191,8 @@ class SafetyPanel:
     def _on_reset_fault(self) -> str:
         """Clear the latched fault; the amplifier stays off."""
         reason = self._safety.reason
-        self._anew()
+        if reason:
+            self._anew()
         self._safety.reset()
         self.report()
         return f"cleared: {reason}" if reason else "there was no fault"

@@ -91,12 +91,14 @@ class SampleWatch:
     def restart(self) -> None:
         """Forget the samples before an interruption."""
         self._x, self._stamp_ns = math.nan, 0
-        self.switched()
+        self.switched(on=False)
 
-    def switched(self) -> None:
-        """The amplifier is switched on, or a fault is cleared: the current was zero before, and y may be anywhere."""
+    def switched(self, on: bool) -> None:
+        """The amplifier is switched, or a fault is cleared: the current begins at zero, and y may be anywhere; with the
+        amplifier off it may also move anywhere."""
         self._y, self._resisted = math.nan, 0
         self._mean = self._mean_at_change = 0.0
+        self._reach = self.travel if on else sys.float_info.max
         self._least = -sys.float_info.max
         self._most = sys.float_info.max
         self._start = math.nan
@@ -119,8 +121,8 @@ class SampleWatch:
         self._mean += self._share * (current - self._mean)
         if y != self._y:
             if math.isnan(self._y):
-                # The first sample since the amplifier was switched on.
-                self._start, self._least, self._most = y, y - self.travel, y + self.travel
+                # The first sample since the amplifier was switched.
+                self._start, self._least, self._most = y, y - self._reach, y + self._reach
             self._y, self._resisted, self._mean_at_change = y, 0, self._mean
             return None
         change = self._mean - self._mean_at_change
@@ -132,9 +134,9 @@ class SampleWatch:
     def _unusual(self, stamp_ns: int, x: float, y: float) -> Finding | None:
         if not (math.isfinite(x) and math.isfinite(y)):
             return Fault.SAMPLE_NOT_FINITE, f"sample with x = {x} m, y = {y} m"
-        if abs(y - self._start) > self.travel:
+        if abs(y - self._start) > self._reach:
             moved = f"y moved by {(y - self._start) * 1e6:.1f} µm since the amplifier was switched on"
-            return Fault.FOLLOWING_ERROR, f"{moved}; allowed: ±{self.travel * 1e6:g} µm"
+            return Fault.FOLLOWING_ERROR, f"{moved}; allowed: ±{self._reach * 1e6:g} µm"
         if not self._least <= y <= self._most:
             return Fault.Y_OUT_OF_RANGE, f"y = {y * 1e6:.1f} µm; allowed: ±{self._parameters.y_limit * 1e6:g} µm"
         if math.isnan(self._x):

@@ -1,4 +1,5 @@
-"""Why a driver does not switch on: its machine sends no samples, or no controller answers them."""
+"""Why a driver does not switch on: its machine sends no samples, or no controller answers them; and what it watches of
+samples with the amplifier on and off."""
 
 import math
 
@@ -11,6 +12,7 @@ from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
+from straightcomp_ros.safety.faults import Fault
 
 
 @pytest.fixture
@@ -55,3 +57,44 @@ def test_a_driver_that_does_not_reach_its_machine_says_why_once(driver, monkeypa
         driver._hardware._link.problem = problem
         driver._watch_slowly()
     assert logged == ["no such device", "bus-off"]
+
+
+@pytest.fixture
+def panel(driver, monkeypatch):
+    """That of a driver whose machine obeys at once and is always ready."""
+    for name in ("enable", "disable", "reset_fault"):
+        monkeypatch.setattr(driver._hardware, name, lambda: None)
+    monkeypatch.setattr(driver._panel, "_refusal", lambda: "")
+    return driver._panel
+
+
+def test_after_a_normal_switch_off_neither_the_current_that_has_ended_nor_a_hand_on_the_platform_is_a_fault(
+    driver, panel
+):
+    def findings(heights, current):
+        found = []
+        for y in heights:
+            driver._newest = Sample((driver._newest.stamp_ns if driver._newest else 0) + 500_000, 0.0, y, math.nan)
+            found.append(driver._sample_watch.check(driver._newest, current))
+        return [one for one in found if one]
+
+    driver._sample_watch.travel = 1e-4
+    assert not findings((0.0, 2e-3, 5e-6), 0.0)
+    panel._on_enable(True)
+    assert not findings([5e-6 + 1e-7 * (k % 2) for k in range(200)], 0.5)
+    driver._sample_watch.hold()
+    panel._on_enable(False)
+    assert not findings([5e-6] * 200 + [2e-3, -2e-3], 0.0)
+    # On again it is watched, wherever it stands.
+    panel._on_enable(True)
+    assert findings([-2e-3] * 200, 0.5)[0][0] is Fault.Y_FROZEN
+
+
+def test_a_request_for_what_is_already_so_changes_nothing_of_what_is_watched(driver, panel):
+    driver._sample_watch.travel = 3e-6
+    panel._on_enable(True)
+    samples = [Sample(k * 500_000, 0.0, y, math.nan) for k, y in enumerate((0.0, 2e-6, 4e-6))]
+    for sample, again in zip(samples[:2], (lambda: panel._on_enable(True), panel._on_reset_fault), strict=True):
+        assert driver._sample_watch.check(sample, 0.0) is None
+        again()
+    assert driver._sample_watch.check(samples[2], 0.0)[0] is Fault.FOLLOWING_ERROR

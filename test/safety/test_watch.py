@@ -84,19 +84,24 @@ def test_y_that_leaves_its_limit_is_found_and_y_that_comes_back_is_not():
     for y in (1e-3 + COUNT, -1e-3 - COUNT):
         fault, words = feed(found, 4, 0.0, y)
         assert fault is Fault.Y_OUT_OF_RANGE and f"y = {y * 1e6:.1f} µm; allowed: ±1000 µm" in words
-    found.switched()
+    found.switched(on=True)
     assert feed(found, 5, 0.0, -1.1e-3) is None
 
 
 def test_a_movement_beyond_the_travel_since_the_switch_on_is_a_fault_of_its_sample():
     found = watch()
     found.travel = 3e-6
-    found.switched()
+    found.switched(on=True)
     assert not any(feed(found, step, 0.0, y) for step, y in enumerate((5e-6, 7e-6, 2.5e-6)))
     fault, words = feed(found, 3, 0.0, 8.2e-6)
     assert fault is Fault.FOLLOWING_ERROR and "moved by 3.2 µm" in words
-    found.switched()
+    found.switched(on=True)
     assert feed(found, 4, 0.0, 8.2e-6) is None
+    # A platform that is moved by hand, before the first switch-on and after a switch-off.
+    found.switched(on=False)
+    assert not any(
+        feed(each, step, 0.0, y) for each in (found, watch(travel=3e-6)) for step, y in enumerate((0.0, 2e-3))
+    )
 
 
 def test_y_is_frozen_if_it_stays_although_the_current_has_moved_and_not_at_rest_or_by_a_law_that_switches():
@@ -114,7 +119,7 @@ def test_y_is_frozen_if_it_stays_although_the_current_has_moved_and_not_at_rest_
     # Nor is it with the amplifier off.
     found = watch()
     assert not any(feed(found, k, 0.0, COUNT * k, 0.5) for k in range(1000))
-    found.switched()
+    found.switched(on=False)
     assert not any(feed(found, k, 0.0, COUNT * 1000) for k in range(1000, 3000))
 
 
