@@ -101,6 +101,12 @@ class LearnedTable:
         self.updates, self.caution, self.tried = _MANY, 1.0, False
         self._publish()
 
+    def bound(self, limit: float) -> None:
+        """Bring the coefficients within ±``limit`` in m, those of the best pass too."""
+        rows = self.nodes[[COEFFICIENT, BEST]]
+        self.nodes[[COEFFICIENT, BEST]] = np.clip(rows, -limit, limit)
+        self._publish()
+
     def between(self, first: int, end: int) -> Array:
         """``nodes`` from ``first`` to before ``end``, which are all of the table's or more."""
         if not self.nodes.size:
@@ -378,6 +384,8 @@ class Learning:
         self.tables = {forward: LearnedTable(parameters.spacing, parameters.margin) for forward in (True, False)}
         if parameters.file and Path(parameters.file).exists():
             read_tables(Path(parameters.file), law, self.tables)
+            for table in self.tables.values():
+                table.bound(parameters.limit)
         self._tracked, self._stamp_ns = restarted(0.0), 0
         self._forward = True
         self.cut = False

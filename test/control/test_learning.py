@@ -13,7 +13,9 @@ from straightcomp_ros.control import learning as learning_module
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.learning import (
     BARE_SQUARE,
+    BEST,
     BEST_SQUARE,
+    COEFFICIENT,
     LearnedTable,
     Learning,
     LearningParameters,
@@ -227,6 +229,17 @@ def test_a_damaged_file_is_refused_with_the_place_and_what_is_allowed(file, chan
         file.write_bytes(b"\xff\xfe")
         with pytest.raises(ParameterError, match=str(no_text)):
             read_tables(no_text, "smc", tables())
+
+
+def test_a_correction_from_a_file_is_within_the_limit_also_where_an_update_is_taken_back(file):
+    bound = learning(file=str(file), spacing=FILE_SPACING, limit=3e-7)
+    for forward, table in learned().items():
+        for row in (COEFFICIENT, BEST):
+            expected = np.clip(table.nodes[COEFFICIENT], -3e-7, 3e-7)
+            found = bound.tables[forward].between(-8, 60)[row, table.first + 8 :][: expected.size]
+            np.testing.assert_allclose(found, expected, rtol=1e-5)
+        corrections = [bound.tables[forward].at(x, 0.2)[1] for x in np.linspace(-3e-3, 0.02, 200).tolist()]
+        assert 2e-7 < np.abs(corrections).max() <= 3e-7
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_and_keeps_what_was_learned_after(file, tmp_path, verb):
