@@ -10,10 +10,12 @@ import time
 import warnings
 from unittest.mock import Mock
 
+import fsspec
 import pyarrow.dataset
 import pyarrow.parquet
 import pytest
 from places import BAGS, SMC
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from stores import COUNT, added, files_of, strokes_of
 from tiers import nightly
 
@@ -188,6 +190,29 @@ def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tm
         shutil.rmtree(bag)
     assert (tallies[0].refused, tallies[1].added) == (1, 1)
     assert Store(str(store)).query("SELECT * FROM refused").num_rows == 0
+
+
+def test_a_sqlite_bag_is_refused_until_its_recorder_has_described_it_at_last(tmp_path):
+    bag, store = tmp_path / "run", tmp_path / "store"
+    with Reader(SMC) as reader, Writer(bag, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topics = {}
+        for one in reader.connections:
+            topics[one.topic] = writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, rihs01=one.digest)
+        for one, time_ns, data in reader.messages():
+            writer.write(topics[one.topic], time_ns, data)
+    metadata = bag / "metadata.yaml"
+    text = metadata.read_text()
+    metadata.unlink()
+    assert added(store, bag).refused == 1
+    reason = Store(str(store)).query("SELECT reason FROM refused").to_pylist()[0]["reason"]
+    assert "was not finished" in reason and "ros2 bag reindex" in reason
+    metadata.write_text(text)
+    assert added(store, bag).added == 1 and len(strokes_of(store)) == 2
+    # The file alone, at another place.
+    elsewhere = fsspec.filesystem("memory")
+    elsewhere.put(str(bag), "/run", recursive=True)
+    (file,) = bag.glob("*.db3")
+    assert added(store, f"memory://run/{file.name}").added == 1
 
 
 @pytest.mark.parametrize(

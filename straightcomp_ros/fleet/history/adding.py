@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain, islice
@@ -14,7 +14,7 @@ from pathlib import Path
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError, noting_warnings
-from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.folder import SqliteInput, found_files
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
@@ -129,6 +129,11 @@ def _check_finished(files: Sequence[Path]) -> None:
                         f"bag {file} was not finished, or its end is damaged; save what is there with `straightcomp "
                         "recover`, and add that"
                     )
+        elif not SqliteInput(file).finished:
+            raise BagError(
+                f"bag {file} was not finished: it has no metadata.yaml; finish it with `ros2 bag reindex` when its "
+                "recorder has ended, and add it again"
+            )
 
 
 def _blocks(file: Path) -> Iterator[bytes]:
@@ -153,6 +158,10 @@ def _on_this_machine(place: BagPlace) -> Iterator[Path]:
                 files.get_file(f"{path}/{name}", str(bag / name))
             if not place.names:
                 files.get_file(path, str(bag))
+            if not place.names and bag.suffix == ".db3":
+                # Of such a file it says that it is finished.
+                with suppress(FileNotFoundError):
+                    files.get_file(f"{path.rpartition('/')[0]}/metadata.yaml", str(bag.with_name("metadata.yaml")))
         yield bag
 
 
