@@ -60,7 +60,7 @@ class FaultIncidents:
         self._node, self._number, self._recording = node, number, recording
         self._process: subprocess.Popen[bytes] | None = None
         self._due: tuple[float, str] | None = None
-        self._folder, self._seen = Path(), ""
+        self._file, self._seen = Path(), ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(0.5, self._pack_when_due)
 
@@ -83,8 +83,8 @@ class FaultIncidents:
         fault, self._due = self._due[1], None
         if bag is None:
             return
-        self._folder = folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
-        file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
+        folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
+        self._file = file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
         try:
             folder.mkdir(exist_ok=True)
             words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]
@@ -96,7 +96,9 @@ class FaultIncidents:
 
     def _keep_newest(self) -> None:
         try:
-            for old in sorted(self._folder.glob("*.zip"))[: -self._number]:
+            # The file just packed is the newest, whatever the clock was when the others were.
+            others = sorted(set(self._file.parent.glob("*.zip")) - {self._file}, reverse=True)
+            for old in others[self._number - 1 :]:
                 old.unlink()
         except OSError as error:
             self._node.get_logger().warning(f"an old incident was not removed: {error}")

@@ -190,6 +190,26 @@ def test_an_incident_that_is_not_packed_costs_no_older_one(tmp_path, monkeypatch
     assert "was not packed" in log.warning.call_args[0][0] and older.exists()
 
 
+@pytest.mark.parametrize("number", [1, 3, 6])
+def test_the_incident_just_packed_is_kept_whatever_the_clock_was_before(tmp_path, monkeypatch, number):
+    monkeypatch.setattr(logger_node, "_AFTER_S", 0.0)
+    monkeypatch.setattr(logger_node, "verb_command", lambda *words: ("touch", words[-1]))
+    folder = tmp_path / "bag_incidents"
+    folder.mkdir()
+    names = [f"2{year}_01_01-00_00_00_x_jump.zip" for year in (100, 101, 102, 103)]
+    for name in names:
+        (folder / name).touch()
+    incidents = FaultIncidents(Mock(), number, lambda: tmp_path / "bag")
+    incidents._on_safety_state(DiagnosticStatus(name="tripped"))
+    expected = {"tripped", *sorted(names, reverse=True)[: number - 1]}
+
+    def kept():
+        incidents._pack_when_due()
+        return {"tripped" if "tripped" in one.name else one.name for one in folder.iterdir()} == expected
+
+    assert comes_true(lambda: kept() and incidents._process is None, 120.0)
+
+
 def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():
     best_effort = QoSProfile(depth=7, reliability=ReliabilityPolicy.BEST_EFFORT)
     unknown = QoSProfile(history=HistoryPolicy.UNKNOWN, depth=0)
