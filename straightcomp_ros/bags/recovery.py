@@ -112,8 +112,8 @@ def recover(
             facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
             facts[LOST_FILES] = ", ".join(result.lost_files)
             writer.add_metadata(RECOVERY_METADATA, facts)
-    except BagError:
-        # Half a copy would pass as a whole bag.
+    except BaseException:
+        # Half a copy would pass as a whole bag, whatever ended it: Ctrl-C too.
         shutil.rmtree(output)
         raise
     return result

@@ -16,6 +16,7 @@ from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.cli import Terminated
 from straightcomp_ros.contract import ENCODER
 
 
@@ -140,6 +141,18 @@ def test_where_the_copying_ends_no_half_copy_is_left(tmp_path):
     with pytest.raises(BagError, match="compressed"):
         recover(tmp_path / "run", tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated, OSError, ZeroDivisionError])
+def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path, record, stop):
+    bag, before = record(), {path.name for path in tmp_path.iterdir()}
+
+    def edit(name, data):
+        raise stop
+
+    with pytest.raises(stop):
+        recover(bag.directory, tmp_path / "new", edit=edit)
+    assert {path.name for path in tmp_path.iterdir()} == before and bag.file.exists()
 
 
 def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
