@@ -30,7 +30,7 @@ share.
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,9 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, rms, zone_along
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 from straightcomp_ros.straightness.survey_table import Direction
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
 
 COVERAGE_FACTOR = 2.0
 _COVERAGE = 0.9545
@@ -70,14 +73,15 @@ class Input(NamedTuple):
         uncertainty: standard uncertainty in m of one error; None if it is not known.
         points: x in m at which the errors are independent, with a spline between; None: from sample to sample.
         seen: whether the errors are in the measured curve, or in the true one alone.
-        form: (points, m) what makes the errors of m independent ones; None where they are independent.
+        form: (points, m) what makes the errors of m independent ones, a matrix or an operator; None where they are
+            independent.
     """
 
     name: str
     uncertainty: float | None
     points: Array | None = None
     seen: bool = True
-    form: Array | None = None
+    form: "Array | LinearOperator | None" = None
 
 
 class Contribution(NamedTuple):
@@ -291,7 +295,7 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     draws = _CURVES if one.seen else _DRAWS
     at_points = random.normal(0.0, uncertainty, (one.points.size if one.form is None else one.form.shape[1], draws))
     if one.form is not None:
-        at_points = one.form @ at_points
+        at_points = np.asarray(one.form @ at_points)
     errors = cubic_spline(one.points, at_points)(x.clip(*one.points[[0, -1]])).T
 
     def changes(curve: Array) -> Array:

@@ -137,7 +137,8 @@ def shipped_parameters(
     """Values by node and dotted name of a parameter file and a stage file for nodes in ``namespace``, as rcl joins
     them; the installed ones by default.
 
-    A parameter file that is named describes the stage too, unless there is a ``stage`` file.
+    A parameter file that is named describes the stage too, unless there is a ``stage`` file. ParameterError, too, for
+    a fact of the stage file that rcl lets no node have.
     """
     path = params_file or share_path(DEFAULT_FILE)
     sections = _sections_of(path)
@@ -147,6 +148,13 @@ def shipped_parameters(
         described = _sections_of(path)
         own = _values_of(path, described, namespace)
         values = _values_of(path, [*sections, *described], namespace)
+        for node in NODE_PARAMETERS:
+            for name in own[node].keys() - values[node].keys():
+                raise ParameterError(
+                    f"parameter file {path}: '{name}' of one node, {own[node][name]!r}, counts for no node: its "
+                    f"section joins that of the parameter file, before {ALL_NODES} of this one; name the section "
+                    f"'{node}', or in a namespace '/NAMESPACE/{node}'"
+                )
         for node, found in files_beside(path, own).items():
             values[node].update(
                 {name: full for name, full in found.items() if values[node].get(name) == own[node][name]}

@@ -9,9 +9,10 @@ import pytest
 from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, schema_of, table_of
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
-from straightcomp_ros.straightness.guide_map import find_survey
+from straightcomp_ros.straightness.guide_map import MapParameters, find_survey
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import read_survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 from trials.wear import BASE, followed_map
 
 
@@ -50,6 +51,8 @@ def test_only_strokes_with_that_map_make_the_proposal(pool):
     mixed = pyarrow.Table.from_pylist([*ours, *others], schema_of(StrokeRow))
     proposal = proposed_map(mixed, old, 7.0)
     assert proposal.strokes == len(ours) and peak_to_peak(proposal.change) < 0.1e-6
+    with pytest.raises(SurveyError, match="travel"):
+        proposed_map(mixed, old, 7.0, MapParameters(travel=1e-6))
     provenance = proposal.built.provenance
     assert provenance["made by"].startswith("straightcomp history map")
     assert provenance["proposed from"].startswith(f"{len(ours)} strokes")

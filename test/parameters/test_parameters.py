@@ -241,7 +241,8 @@ COMMON, OWN = {"/**": 4.0}, {"/**/driver": 5.0}
         # Sections of one key are one, at the place of the first.
         (COMMON | OWN, {"/**": 6.0}, 5.0, 5.0),
         (COMMON, {"/**/driver": 7.0}, 4.0, 7.0),
-        (OWN, {"/**": 6.0, "/**/driver": 7.0}, 5.0, 6.0),
+        # A node would take the 6.0.
+        (OWN, {"/**": 6.0, "/**/driver": 7.0}, 5.0, None),
         (OWN, {"/**": {"driver": 7.0}}, 5.0, 7.0),
     ],
 )
@@ -259,7 +260,11 @@ def test_of_several_sections_and_files_with_a_fact_that_counts_which_a_node_take
         file.write_text(yaml.safe_dump(section(given), sort_keys=False))
     assert node_parameters("driver", read_parameter_file(path)).stage.platform.mass == mass
     assert node_parameters("driver", shipped_parameters(str(path))).stage.platform.mass == mass
-    assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == together
+    if together is None:
+        with pytest.raises(ParameterError, match=rf"{stage}: 'stage.platform.mass' of one node, 7.0"):
+            shipped_parameters(str(path), str(stage))
+    else:
+        assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == together
 
 
 def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tmp_path, monkeypatch):

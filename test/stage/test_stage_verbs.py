@@ -142,7 +142,7 @@ def test_a_stage_without_gains_of_its_own_is_sent_to_the_design(tmp_path, verb, 
 
 def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path, verb):
     file = tmp_path / "stage.yaml"
-    file.write_text("/**:\n  ros__parameters: {stage.rate: 2000}\n/**/driver:\n  ros__parameters: {stage.rate: 1000}\n")
+    file.write_text("/**:\n  ros__parameters: {stage.rate: 2000}\ndriver:\n  ros__parameters: {stage.rate: 1000}\n")
     for words in (("stage", "check"), ("simulate", "--stage")):
         found = verb(*words, file)
         assert found.code == 2 and "'stage.rate': 2000 Hz; allowed: 1000 Hz" in found.err

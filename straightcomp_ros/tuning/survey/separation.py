@@ -137,24 +137,29 @@ def _line(x: Array, powers: int = 2) -> Array:
 def _reversed(x: Array, noises: Array) -> tuple[_Part, _Part]:
     """Edge and guide by reversal; ``noises`` (2,) in m are those of a reading in each survey. Without matrices of n
     columns: there may be tens of thousands of points."""
-    line, noise = _line(x), float(np.hypot(*noises)) / 2.0
+    # SciPy's linear algebra takes a while to import, and a verb's help needs none of it.
+    from scipy.sparse.linalg import LinearOperator
 
-    def half(sign: float) -> Callable[[Array], Array]:
+    line, each = _line(x), np.repeat(noises, x.size)
+    s = float(np.hypot(*noises)) / 2.0 * np.sqrt(1.0 - np.sum(line**2, axis=1))
+    noise = rms(s)
+
+    def part(sign: float) -> _Part:
         def made(readings: Array) -> Array:
             mean = (readings[: x.size] + sign * readings[x.size :]) / 2.0
             return np.asarray(mean - line @ (line.T @ mean))
 
-        return made
+        def errors(independent: Array) -> Array:
+            return made((independent.T * each).T) / (noise or 1.0)
 
-    s = noise * np.sqrt(1.0 - np.sum(line**2, axis=1))
-    # Straightness about any line is the same with and without one in the errors.
-    source = Input("noise", noise, x)
-    return _Part(half(1.0), s, source), _Part(half(-1.0), s, source)
+        form = LinearOperator((x.size, each.size), matvec=errors, matmat=errors, dtype=np.float64)
+        return _Part(made, s, Input("noise", noise, x, form=form))
+
+    return part(1.0), part(-1.0)
 
 
 def _shifted(x: Array, noises: Array, shift: float, moved: str) -> tuple[_Part, _Part]:
     """As :func:`_reversed`, where straightedge or sensor was moved."""
-    # SciPy's linear algebra takes a while to import, and a verb's help needs none of it.
     from scipy.linalg import pinv
 
     shift, aligned_anew = (-shift, False) if moved == "sensor" else (shift, True)
