@@ -200,6 +200,7 @@ class DriverComponent:
         self._node.streams.publish_records()
         if self._hardware.fault:
             self._safety.follow(now_ns())
+            self._sample_watch.switched(on=False)
             self._panel.report()
         return len(samples)
 
@@ -265,6 +266,7 @@ class DriverComponent:
 
     def _trip(self, fault: Fault, reason: str) -> None:
         self._safety.trip(fault, reason, now_ns())
+        self._sample_watch.switched(on=False)
         self._panel.report()
 
     def _watch_slowly(self) -> None:

@@ -96,8 +96,12 @@ class FaultIncidents:
 
     def _keep_newest(self) -> None:
         try:
-            # The file just packed is the newest, whatever the clock was when the others were.
-            others = sorted(set(self._file.parent.glob("*.zip")) - {self._file}, reverse=True)
+            # The file just packed is the newest; what seems newer is from before the clock was set back.
+            others = sorted(
+                set(self._file.parent.glob("*.zip")) - {self._file},
+                key=lambda one: (one.name < self._file.name, one.name),
+                reverse=True,
+            )
             for old in others[self._number - 1 :]:
                 old.unlink()
         except OSError as error:

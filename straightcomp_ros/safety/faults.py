@@ -43,7 +43,8 @@ class Fault(enum.Enum):
         30.0,
         "no fresh command for too long",
         "controller or feedforward ended or stalled; a busy computer",
-        "read the nodes' logs, and docs/realtime.md; for a simulated machine a longer `simulated.command_timeout`",
+        "read the nodes' logs, and docs/realtime.md; a longer `simulated.command_timeout`, or for a board "
+        "`can.command_timeout`, of which four times count",
     )
     TWO_CONTROLLERS = Description(
         4,

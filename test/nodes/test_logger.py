@@ -200,14 +200,17 @@ def test_the_incident_just_packed_is_kept_whatever_the_clock_was_before(tmp_path
     for name in names:
         (folder / name).touch()
     incidents = FaultIncidents(Mock(), number, lambda: tmp_path / "bag")
-    incidents._on_safety_state(DiagnosticStatus(name="tripped"))
-    expected = {"tripped", *sorted(names, reverse=True)[: number - 1]}
+    packed = []
+    for fault in ("tripped", "y_frozen", "z_fault"):
+        incidents._on_safety_state(DiagnosticStatus(name=fault))
+        packed.insert(0, f"{fault}.zip")
+        expected = {*packed[:number], *sorted(names, reverse=True)[: max(0, number - len(packed))]}
 
-    def kept():
-        incidents._pack_when_due()
-        return {"tripped" if "tripped" in one.name else one.name for one in folder.iterdir()} == expected
+        def kept(expected=expected):
+            incidents._pack_when_due()
+            return {one.name if one.name in names else one.name[20:] for one in folder.iterdir()} == expected
 
-    assert comes_true(lambda: kept() and incidents._process is None, 120.0)
+        assert comes_true(lambda kept=kept: kept() and incidents._process is None, 120.0)
 
 
 def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():

@@ -68,8 +68,9 @@ def panel(driver, monkeypatch):
     return driver._panel
 
 
-def test_after_a_normal_switch_off_neither_the_current_that_has_ended_nor_a_hand_on_the_platform_is_a_fault(
-    driver, panel
+@pytest.mark.parametrize("fault", [None, Fault.X_JUMP])
+def test_after_a_switch_off_neither_the_current_that_has_ended_nor_a_hand_on_the_platform_is_a_fault(
+    driver, panel, fault
 ):
     def findings(heights, current):
         found = []
@@ -83,8 +84,12 @@ def test_after_a_normal_switch_off_neither_the_current_that_has_ended_nor_a_hand
     panel._on_enable(True)
     assert not findings([5e-6 + 1e-7 * (k % 2) for k in range(200)], 0.5)
     driver._sample_watch.hold()
-    panel._on_enable(False)
+    if fault:
+        driver._trip(fault, "x jumped")
+    else:
+        panel._on_enable(False)
     assert not findings([5e-6] * 200 + [2e-3, -2e-3], 0.0)
+    panel._on_reset_fault()
     # On again it is watched, wherever it stands.
     panel._on_enable(True)
     assert findings([-2e-3] * 200, 0.5)[0][0] is Fault.Y_FROZEN

@@ -132,7 +132,7 @@ def _check_finished(files: Sequence[Path]) -> None:
         elif not SqliteInput(file).finished:
             raise BagError(
                 f"bag {file} was not finished: it has no metadata.yaml; finish it with `ros2 bag reindex` when its "
-                "recorder has ended, and add it again"
+                "recorder has ended, and add its folder"
             )
 
 

@@ -25,9 +25,10 @@ _UNREADY: dict[State | None, str] = {
     State.FAULT: "the board has not cleared its fault yet",
 }
 """Why the amplifier must not be switched on while the board reports this."""
-_TIMEOUTS = 4
+_TIMEOUTS, _PERIODS = 4, 3
 """Times `command_timeout` without a command that are a fault: a board reports its own timeout before, which says more;
-and with the default of 5 ms this is within the 30 ms that docs/safety.md promises."""
+and with the default of 5 ms this is within the 30 ms that docs/safety.md promises. Samples at least: a single command
+that is lost is none, at any rate."""
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -62,6 +63,7 @@ class CanHardware(Hardware):
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = self._command_ns = 0
+        self._silence_ns = max(_TIMEOUTS * parameters.command_timeout * 1e9, _PERIODS * stage.period_ns)
         self._within = f"within {parameters.answer_timeout * 1e3:g} ms"
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
@@ -275,7 +277,7 @@ class CanHardware(Hardware):
             # By a command that was sent: "on" goes out with a current only.
             self._was_on = True
             age_ns = now_ns - self._command_ns
-            if age_ns > _TIMEOUTS * self._parameters.command_timeout * 1e9:
+            if age_ns > self._silence_ns:
                 return Fault.COMMAND_TIMEOUT, f"no command was sent for {age_ns * 1e-6:.1f} ms"
         elif self._was_on:
             return Fault.BOARD, "the board switched the amplifier off"

@@ -155,8 +155,8 @@ class CanParameters:
     node: int = parameter(1, "Node id of the board; the identifiers in the DBC file are those of node 1", "[1, 127]")
     command_timeout: float = parameter(
         0.005,
-        "Age of a command from which it is not sent any more; four times as long without a command latches a fault "
-        "while the amplifier is on",
+        "Age of a command from which it is not sent any more; four times as long without one, three samples at least, "
+        "latches a fault while the amplifier is on",
         "(0, 1] s",
     )
     sample_timeout: float = parameter(

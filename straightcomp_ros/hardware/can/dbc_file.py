@@ -52,7 +52,7 @@ _ABOUT = re.compile(r'(?:BA_\s+"([^"]*)"\s+(?:BO_|SG_)|VAL_|SIG_VALTYPE_|SG_MUL_
 _LONG_NAME = "SystemMessageLongSymbol"
 _READ = {"GenMsgCycleTime", "GenSigStartValue", "VFrameFormat", "SystemSignalLongSymbol", _LONG_NAME}
 """Attributes that mean something to the driver."""
-_MOST_BITS, _MOST_PAGES, _LONGEST_CYCLE_MS = 8 * _FD_SIZES[-1], 1 << 16, 1e9
+_MOST_BITS, _MOST_PAGES, _LONGEST_CYCLE_MS = 8 * _FD_SIZES[-1], 1 << 20, 1e9
 _LONG_NUMBER = re.compile(r"\b\d{1000,}|\b\d+\.?\d*[eE][-+]?\d{4,}")
 _BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _WORDS = re.compile(r'"(?:\\"|[^"])*"|//.*')

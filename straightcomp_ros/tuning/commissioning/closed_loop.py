@@ -34,6 +34,7 @@ from straightcomp_ros.model.motion import forward_and_back, reach
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
+from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.commissioning import LOOP, LeftTravel
@@ -177,7 +178,8 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     write_survey(excitation, excitation_survey(length, low, scale, stage.guide), ("Made up: excites the platform.",))
     facts = excitation_facts(stage.guide, scale, low, length)
     values = with_values(work.values, "stage", {"guide.file": str(excitation), **facts})
-    count = math.ceil((SHORTEST + SWITCH_ON) * stage.period_ns / forward_and_back(stage.motion)[-1].time_ns)
+    cycle_ns = forward_and_back(node_parameters("driver", values).stage.motion)[-1].time_ns
+    count = math.ceil((SHORTEST + SWITCH_ON) * stage.period_ns / cycle_ns)
     try:
         work.machine.stroke(values, bag, work.travel, count)
         return {}

@@ -64,8 +64,8 @@ _SLIDING = 2e-4
 """m/s; ten times the Stribeck velocity of the shipped stage."""
 _SLOW = 3.0
 """Stribeck velocities from which a slower record slides: by Stribeck's law only exp(-9) of F_S - F_C is left there."""
-_LEAST = 0.25
-"""s of sliding."""
+_LEAST, _SAMPLES = 0.25, 500
+"""s of sliding, or samples if those are sooner."""
 _TWO_SIDED, _CERTAIN = 2.0, 5.0
 """Standard deviations of a 95 % interval, of some tens of blocks, and of what is beyond doubt."""
 _LEAST_VISCOUS = 0.1
@@ -197,8 +197,8 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
 
 
 def _sliding(recording: Recording, stribeck: float) -> tuple[Array, Array] | None:
-    """K̄_i/M, K̄_y/M, F_C/M, σ2/M and c in SI units (5,), and their covariance (5, 5); None with too little sliding.
-    ``stribeck`` is the described Stribeck velocity in m/s."""
+    """K̄_i/M, K̄_y/M, F_C/M, σ2/M and c in SI units (5,), and their covariance (5, 5), infinite where the sliding has no
+    more blocks than unknowns; None with too little sliding. ``stribeck`` is the described Stribeck velocity in m/s."""
     period = recording.period_ns * 1e-9
     window = max(_ORDER + 2, 2 * round(0.5 * _WINDOW / period) + 1)
 
@@ -211,15 +211,18 @@ def _sliding(recording: Recording, stribeck: float) -> tuple[Array, Array] | Non
     # At its ends the filter extrapolates.
     slowest[:window] = slowest[-window:] = 0.0
     sliding = slowest > _SLIDING
-    if np.count_nonzero(sliding) * period < _LEAST:
+    least = min(_SAMPLES, _LEAST / period)
+    if np.count_nonzero(sliding) < least:
         # A platform of little travel is slow in the whole record.
         sliding = slowest > min(_SLIDING, _SLOW * stribeck)
-    if np.count_nonzero(sliding) * period < _LEAST:
+    if np.count_nonzero(sliding) < least:
         return None
     signals = (filtered(recording.current), filtered(recording.y), -direction, -velocity, np.ones_like(velocity))
     terms, wanted = np.stack(signals, axis=1)[sliding], filtered(recording.y, 2)[sliding]
     slopes, *_ = np.linalg.lstsq(terms, wanted, rcond=None)
     block = max(1, round(BLOCK / period))
+    if len(terms) // block <= slopes.size:
+        return np.asarray(slopes), np.full((slopes.size, slopes.size), np.inf)
     return np.asarray(slopes), block_covariance(terms, wanted - terms @ slopes, block)
 
 

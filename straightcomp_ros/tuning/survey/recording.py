@@ -169,8 +169,9 @@ def recognise(
     ways, partial = whole_ways(strokes, series.x)
     ends = np.sort([[series.x[way[0].start], series.x[way[-1].stop - 1]] for way in ways])
     near = np.abs(ends - np.median(ends, axis=0)).max(axis=1) <= max_gap
-    # Of two that differ neither is known to be whole.
-    chosen = [way for way, is_near in zip(ways, near.tolist(), strict=True) if is_near] or ways
+    chosen = [way for way, is_near in zip(ways, near.tolist(), strict=True) if is_near]
+    # Where fewer than half agree none is known to be whole.
+    chosen = chosen if 2 * len(chosen) >= len(ways) else ways
     passages: list[Passage] = []
     for way in chosen:
         name = str(1 + sum(passage.run.direction == way[0].direction for passage in passages))

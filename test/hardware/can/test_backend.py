@@ -248,6 +248,18 @@ def test_commands_that_stop_are_found_where_the_board_has_no_timeout_and_not_bef
         world.off_again()
 
 
+def test_a_single_command_that_is_lost_is_no_silence_however_short_the_timeout():
+    world = World(replace(CLASSIC, command_timeout=1e-4))
+    world.board.machine.command_timeout_ns = 10**12
+    world.on()
+    for _ in range(10):
+        world.commands = False
+        world.run(0.0005)
+        world.commands = True
+        world.run(0.002)
+    assert world.host.fault is None and world.board.amplifier is State.ON
+
+
 @pytest.fixture
 def foreign(made):
     """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""

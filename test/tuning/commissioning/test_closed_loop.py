@@ -350,14 +350,15 @@ def test_the_notch_of_a_safe_law_is_not_the_designs(work, monkeypatch, step):
     assert closed_loop.design(dataclasses.replace(work, outcomes=safe)).sentence == "far enough"
 
 
-@pytest.mark.parametrize("stroke", [0.05, 0.5])
-def test_an_excitation_has_as_many_cycles_as_an_identification_needs_and_not_more(tmp_path, stroke):
-    motion = {"stroke": stroke, "acceleration": 2.0, "settle": 0.1, "pause": 0.1}
+@pytest.mark.parametrize("motion", [{"stroke": 0.05}, {"stroke": 0.5}, {"stroke": 0.05, "steps": 20}])
+def test_an_excitation_has_as_many_cycles_as_an_identification_needs_and_not_more(tmp_path, motion):
+    """Of its own motion: one stroke without stops, of 0.5 m at most."""
+    motion = {"acceleration": 2.0, "settle": 0.1, "pause": 0.1} | motion
     work = work_on(values_of(**{f"motion__{name}": value for name, value in motion.items()}), tmp_path)
     closed_loop._excited(work, tmp_path / "bag")
     samples = read_recording(tmp_path / "bag").y.size
-    cycle = forward_and_back(work.stage.motion)[-1].time_ns / work.stage.period_ns
-    assert samples < SHORTEST + cycle
+    made = dataclasses.replace(work.stage.motion, steps=1)
+    assert samples < SHORTEST + forward_and_back(made)[-1].time_ns / work.stage.period_ns
 
 
 def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of_the_users(work):

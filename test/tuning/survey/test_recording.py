@@ -116,6 +116,12 @@ def test_a_run_that_lacks_a_piece_of_a_long_stroke_is_partial_and_the_others_mak
     assert built.straightness.span == pytest.approx((0.0, 4.0), abs=5e-3)
 
 
+def test_of_three_runs_of_which_no_two_agree_in_their_ends_none_is_known_to_be_whole():
+    time, x = driven(0.0, 4.0, 0.06, 4.06, 0.12, 4.12)
+    with pytest.raises(SurveyError, match="allowed: within 50 mm"):
+        build_from_series(series(time, x, guide(x)), SAMPLE, CHOICES, {})
+
+
 DEMANDS = {
     # Points, length in m, amplitude in m, and what a stage's description says for such a guide.
     "travel": (81, 0.4, 250e-6, "travel: 3.0e-4"),
