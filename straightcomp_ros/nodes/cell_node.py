@@ -108,6 +108,7 @@ class CellNode(Runnable):
         log.info(f"stage moves: {forward_and_back(self._parameters.stage.motion)[-1].time_ns * strokes * 1e-9:.1f} s")
         yield from self._follow_motion()
         yield from self._until(State.COMPLETE)
+        self._show_progress(1.0)
         yield from self._all_alive()
         lost = self._graph.reports().get("driver", {}).get(LOST, "?")
         log.info(f"cycle complete: strokes {strokes}, faults {sequence.recovered}, samples lost {lost}")
@@ -123,8 +124,7 @@ class CellNode(Runnable):
     def _follow_motion(self) -> Iterator[None]:
         sequence, recovered = self._sequence, 0
         while sequence.state in (State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING):
-            if self._parameters.progress:
-                print(f"progress {min(sequence.progress, 1.0):.3f}", flush=True)
+            self._show_progress(sequence.progress)
             if sequence.recovered > recovered:
                 recovered = sequence.recovered
                 self.node.get_logger().warning(f"fault {recovered}: {self._reason}; switching on again")
@@ -132,6 +132,10 @@ class CellNode(Runnable):
         if sequence.state in _GIVEN_UP:
             off = sequence.message == (self._seen.fault if "driver" in self._seen.faults else AMPLIFIER_OFF)
             raise CycleFailed(f"amplifier off in mid-cycle: {self._reason}" if off else sequence.message)
+
+    def _show_progress(self, fraction: float) -> None:
+        if self._parameters.progress:
+            print(f"progress {min(fraction, 1.0):.3f}", flush=True)
 
     @property
     def _reason(self) -> str:
