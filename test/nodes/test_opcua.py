@@ -1,14 +1,13 @@
 """The gateway in the running graph: a cycle driven through OPC UA alone, and a flood, which costs the loop nothing."""
 
+import asyncio
 import importlib.util
 import json
 import re
 import shutil
-import subprocess
 import time
 
 import pytest
-from opcua_probes import command, probed
 from participant import Participant
 from places import REPOSITORY
 from waiting import wait_for_line
@@ -24,8 +23,13 @@ from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, count
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
+from asyncua import ua
+from opcua_clients import OPERATOR, connect, flood, give, probing, value
+
 from straightcomp_ros.cell.demonstration import free_port
-from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
+from straightcomp_ros.cell.packml import Command, Order, State
+from straightcomp_ros.opcua.admission import OpcuaParameters, add_user
+from straightcomp_ros.opcua.client import CycleFailed, connected
 
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
@@ -58,11 +62,13 @@ def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd
     assert places == sorted(places)
 
 
-def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_maintenance(graph, tmp_path):
+@pytest.fixture
+def machine(graph, tmp_path):
+    """A graph in one process and a gateway to it; its endpoint, and the file of the map."""
     survey = tmp_path / "survey.csv"
     shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", survey)
     users, advice, port = tmp_path / "users", tmp_path / "gantry.json", free_port()
-    add_user(users, "ann", "correct horse", OPERATOR)
+    add_user(users, *OPERATOR, "operator")
     advice.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
     stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
     chosen = {
@@ -75,24 +81,67 @@ def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_m
     own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice)}
     graph.start("opcua", {**own, **stage, "nodes": " ".join(IN_THE_LOOP)})
     wait_for_line(graph, "opcua", "OPC UA at")
-    url = OpcuaParameters(port=port).endpoint
+    return OpcuaParameters(port=port).endpoint, survey
 
-    results = probed("orders", url, survey, timeout=200)
-    # A state that nobody asked for has no message.
-    assert re.search(r"\]: stopped$", log := graph.log("opcua").read_text(), re.MULTILINE), log
-    assert "ReloadMap is not accepted in state Stopped" in results["reload while stopped"]
-    assert (results["reload"], results["center"], results["back"]) == ("done", "done", "done")
-    assert (results["centred"], results["centred then"]) == (True, False)
-    assert "call Center(false) first" in results["start in the middle"]
-    assert all(words in results["reload of a spoilt file"] for words in ("BadInvalidState", "survey.csv"))
-    assert (results["state"], results["due"]) == ("Idle", "as of 2026-05-01: worn; mend")
+
+@probing
+async def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_maintenance(machine, graph):
+    url, survey = machine
+
+    async def refusal(*command):
+        # A change of reference that is under way refuses the next one for half a second.
+        for _ in range(50):
+            try:
+                return await cell.command(*command) or ""
+            except CycleFailed as refused:
+                if "previous change" not in str(refused):
+                    return str(refused)
+            await asyncio.sleep(0.2)
+
+    async with connected(url, *OPERATOR) as cell:
+        # A state that nobody asked for has no message.
+        assert re.search(r"\]: stopped$", log := graph.log("opcua").read_text(), re.MULTILINE), log
+        assert "ReloadMap is not accepted in state Stopped" in await refusal(Order.RELOAD_MAP)
+        await cell.command(Command.RESET)
+        await cell.until(State.IDLE, {State.RESETTING}, lambda done: None)
+        assert [await refusal(Order.RELOAD_MAP), await refusal(Order.CENTER, True)] == ["", ""]
+        assert await cell.read("Status.Centred") is True
+        assert "call Center(false) first" in await refusal(Command.START, 1)
+        assert await refusal(Order.CENTER, False) == "" and await cell.read("Status.Centred") is False
+        survey.write_text("no map")
+        spoilt = await refusal(Order.RELOAD_MAP)
+        assert "BadInvalidState" in spoilt and "survey.csv" in spoilt
+        assert await cell.state() is State.IDLE
+        assert await cell.read("Alarms.MaintenanceDue") == "as of 2026-05-01: worn; mend"
     # The map's file was spoilt for the next start alone.
-    found = probed("holds", url, survey, timeout=200)
-    state, stage, _, amplifier_on, x = found["held"]
-    assert (state, stage, amplifier_on) == ("Held", "held", True) and 0.004 < x < 0.02
-    assert "Idle" in found["states"] and "Held" in found["states"]
-    assert found["end"][0] == "Complete" and found["end"][2] == pytest.approx(30.0)
-    assert found["end"][4] == pytest.approx(0.0, abs=1e-6)
+    await holds_a_stroke(url)
+
+
+async def holds_a_stroke(url):
+    """Runs a stroke at 10 %, holds it in mid-movement, and lets it go on at 30 % to its end."""
+    made = await connect(url, OPERATOR)
+
+    async def until(state, x=-1.0):
+        while not (await read("Status.StateName") == state and await read("Live.X") > x):
+            await asyncio.sleep(0.01)
+
+    async def read(name):
+        return (await value(made, name))[0]
+
+    await until("Idle")
+    await give(made, "Override", ua.Variant(10, ua.VariantType.UInt32))
+    await give(made, "Start", ua.Variant(1, ua.VariantType.UInt32))
+    await until("Execute", x=0.004)
+    await give(made, "Hold")
+    await until("Held")
+    await asyncio.sleep(0.5)
+    assert await read("Status.StageState") == "held" and await read("Status.AmplifierOn")
+    assert 0.004 < await read("Live.X") < 0.02
+    await give(made, "Override", ua.Variant(30, ua.VariantType.UInt32))
+    await give(made, "Unhold")
+    await until("Complete")
+    assert await read("Status.Override") == pytest.approx(30.0)
+    assert await read("Live.X") == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("words", [["--opcua", "--lockstep"], ["--strokes", "0"], ["--opcua", "--strokes", "0"]])
@@ -104,8 +153,7 @@ def test_what_a_demonstration_cannot_do_is_refused(words, capfd):
 def test_without_users_a_gateway_serves_readers_on_this_machine_and_with_a_wrong_file_it_ends_with_one_sentence(
     single, tmp_path
 ):
-    parameters = node_parameters("opcua", {}).opcua
-    assert parameters.on_loopback and not parameters.users
+    assert not node_parameters("opcua", {}).opcua.users
     node = single.start("opcua", {"opcua.users": str(tmp_path / "none")})
     assert node.wait(120) == EXIT_CONFIGURATION
     assert "users file" in single.last_words("opcua") and "Traceback" not in single.log("opcua").read_text()
@@ -134,11 +182,9 @@ def grown():
         yield grown
 
 
-def flood(url):
+def flooded_for_a_while(url):
     """A flood of some seconds whose clients are killed in the end; returns the requests that were answered."""
-    # The load on the gateway is tried, not that of the clients, who are elsewhere.
-    storm = ["nice", "-n", "10", *command("storm", url, 12)]
-    with subprocess.Popen(storm, stdout=subprocess.PIPE, text=True) as process:
+    with flood(url, 12) as process:
         answered, end = 0, time.monotonic() + FLOOD_S
         try:
             # A machine that is busy with other things leaves the gateway little: then it takes longer.
@@ -163,7 +209,7 @@ def test_a_flood_of_clients_that_vanish_costs_the_loop_no_sample_and_no_command(
     wait_for_line(graph, "opcua", "OPC UA at")
     quiet, answers = grown(lambda: time.sleep(FLOODS * FLOOD_S)), []
     url = OpcuaParameters(port=port).endpoint
-    flooded = grown(lambda: answers.extend(flood(url) for _ in range(FLOODS)))
+    flooded = grown(lambda: answers.extend(flooded_for_a_while(url) for _ in range(FLOODS)))
     with capsys.disabled():
         print(f"\nanswered while flooded: {answers}\nquiet: {quiet}\nflooded: {flooded}")
     graph.check(["opcua", *IN_THE_LOOP])

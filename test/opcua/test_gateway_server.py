@@ -1,18 +1,17 @@
-"""The gateway's server, as asyncua clients in processes of their own find it."""
+"""The gateway's server, as asyncua's clients find it."""
 
 import asyncio
 import io
-import json
 import logging
 import re
 import socket
-import subprocess
 import threading
 import time
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 
 import pytest
+from asyncua import ua
 from asyncua.crypto.cert_gen import (
     dump_private_key_as_pem,
     generate_private_key,
@@ -23,8 +22,20 @@ from asyncua.server.internal_session import InternalSession
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from opcua_probes import command, probed
-from waiting import comes_true
+from opcua_clients import (
+    CELL,
+    OPERATOR,
+    VIEWER,
+    connect,
+    flood,
+    give,
+    greeted,
+    outcome,
+    path,
+    probing,
+    several,
+    value,
+)
 
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
@@ -36,10 +47,7 @@ from straightcomp_ros.opcua.client import CycleFailed, connected
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
 
 WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))
-
-
-def start(probe, *arguments):
-    return subprocess.Popen(command(probe, *arguments), stdout=subprocess.PIPE, text=True)
+U = ua.VariantType.UInt32
 
 
 class Gateway:
@@ -72,60 +80,100 @@ class Gateway:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("gateway")
-    add_user(path / "users", "ann", "correct horse", "operator")
-    add_user(path / "users", "bob", "battery staple", "viewer")
+    add_user(path / "users", *OPERATOR, "operator")
+    add_user(path / "users", *VIEWER, "viewer")
     return path
 
 
 @pytest.fixture(scope="module")
-def plain(folder):
+def served(folder):
     gateway = Gateway(OpcuaParameters(port=free_port(), users=str(folder / "users"), max_clients=12))
     yield gateway
     gateway.close()
 
 
-def test_only_known_operators_command_and_no_client_writes(plain):
-    rights = probed("rights", plain.url)
-    methods = ("reset", "start", "reload map", "center", "start without strokes", "center by a number")
-    methods += ("reset of another object",)
-    never = dict.fromkeys(("write", "add", "delete"), "BadUserAccessDenied") | {"read": "done"}
-    for user in ("viewer", "anonymous"):
-        assert rights[user] == never | dict.fromkeys(methods, "BadUserAccessDenied")
-    wrong = dict(zip(methods[4:], ("BadArgumentsMissing", "BadInvalidArgument", "BadMethodInvalid"), strict=True))
-    assert rights["operator"] == never | dict.fromkeys(methods[:4], "done") | wrong
+@pytest.fixture
+def plain(served):
+    """A gateway on this machine, without encryption, that has no command yet."""
+    served.commands.clear()
+    return served
+
+
+@probing
+async def test_only_known_operators_command_and_no_client_writes(plain):
+    denied = "BadUserAccessDenied"
+    for user in (OPERATOR, VIEWER, None):
+        made = await connect(plain.url, user)
+        state = made.get_node(path("Status.StateCurrent"))
+        of_another = made.get_node(path("Status")).call_method(path("Commands.Reset"))
+        for tried, operators, others in (
+            (state.read_value(), "done", "done"),
+            (state.write_value(ua.Variant(17, ua.VariantType.Int32)), denied, denied),
+            (made.nodes.objects.add_object(2, "Intruder"), denied, denied),
+            (made.delete_nodes([state]), denied, denied),
+            (give(made, "Reset"), "done", denied),
+            (give(made, "Start", ua.Variant(3, U)), "done", denied),
+            (give(made, "ReloadMap"), "done", denied),
+            (give(made, "Center", True), "done", denied),
+            (give(made, "Start"), "BadArgumentsMissing", denied),
+            (give(made, "Center", ua.Variant(1, U)), "BadInvalidArgument", denied),
+            (of_another, "BadMethodInvalid", denied),
+        ):
+            assert await outcome(tried) == (operators if user == OPERATOR else others)
     assert plain.commands == [(Command.RESET, 0), (Command.START, 3), (Order.RELOAD_MAP, 0), (Order.CENTER, True)]
 
 
-def test_the_reference_client_gives_every_command_that_takes_an_argument_and_jogs_backward(plain):
-    plain.commands.clear()
-    probed("arguments", plain.url)
+@probing
+async def test_the_reference_client_gives_every_command_that_takes_an_argument_and_jogs_backward(plain):
     given = [(Command.START, 3), (Order.CENTER, False), (Order.OVERRIDE, 50), (Order.JOG, -2000)]
+    async with connected(plain.url, *OPERATOR) as cell:
+        for asked, argument in given:
+            await cell.command(asked, argument)
     assert plain.commands == given and {asked for asked, _ in given} == set(ARGUMENTS)
 
 
-def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(plain):
-    plain.commands.clear()
-    results = probed("shapes", plain.url)
-    assert results.pop("Start 4294967295") == "done"
-    kinds = {"BadInvalidArgument", "BadTooManyArguments", "BadArgumentsMissing"}
-    assert len(results) == 132 and set(results.values()) <= kinds, results
+@probing
+async def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(plain):
+    made, t = await connect(plain.url, OPERATOR), ua.VariantType
+    one, odd = ua.Variant(1, U), [([1, 2], U), ([1], U), ([[1, 2], [3, 4]], U), ([True], t.Boolean), (None, t.Null)]
+    odd += [("1", t.String), (1.0, t.Double), (ua.Range(0.0, 1.0), t.ExtensionObject)]
+    wrong = [*([ua.Variant(*each)] for each in odd), [ua.Variant([], U, is_array=True)], [one, one], [one] * 200]
+    methods = await made.get_node(path("Commands")).get_methods()
+    assert len(methods) == len({*Command, *Order})
+    for method in methods:
+        name = (await method.read_browse_name()).Name
+        for arguments in wrong:
+            refusal = await outcome(give(made, name, *arguments))
+            assert refusal in ("BadInvalidArgument", "BadTooManyArguments", "BadArgumentsMissing"), (name, arguments)
+    assert await outcome(give(made, "Start", ua.Variant(2**32 - 1, U))) == "done"
     assert plain.commands == [(Command.START, 2**32 - 1)]
 
 
-def test_an_operator_gets_in_and_stays_however_many_others_connect(plain):
+@probing
+async def test_an_operator_gets_in_and_stays_however_many_others_connect(plain):
     with ExitStack() as connections:
         address = "127.0.0.1", plain.port
         silent = [connections.enter_context(socket.create_connection(address)) for _ in range(40)]
         for one in silent[::2]:
             one.send(b"H")
-        assert probed("crowd", plain.url, 17) == {"operator": "done"}
+        await several(plain.url, 17)
+        operator = await connect(plain.url, OPERATOR)
+        await several(plain.url, 17)
+        await asyncio.sleep(0.5)
+        assert await outcome(give(operator, "Reset")) == "done"
 
 
-def test_one_connection_uses_up_neither_the_logins_nor_the_sessions_of_all(plain, monkeypatch):
+@probing
+async def test_one_connection_uses_up_neither_the_logins_nor_the_sessions_of_all(plain, monkeypatch):
     monkeypatch.setattr(InternalSession, "max_connections", 30)
-    found = probed("guess", plain.url, 60)
+    made = await connect(plain.url)
+    wrong = {await outcome(made.activate_session("ann", "wrong horse")) for _ in range(60)}
     # On a busy computer the server may also close the connection that guesses.
-    assert found["operator"] == "done" and "BadUserAccessDenied" in found["wrong"] and "done" not in found["wrong"]
+    assert "BadUserAccessDenied" in wrong and "done" not in wrong
+    for _ in range(60):
+        await outcome(made.create_session())
+        await outcome(made.activate_session())
+    assert await outcome(connect(plain.url, OPERATOR)) == "done"
 
 
 def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
@@ -141,50 +189,94 @@ def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
     assert AtMostALineASecond in map(type, logging.getLogger().handlers)
 
 
-def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
-    plain.commands.clear()
-    results = probed("around", plain.url)
-    assert results.pop("victim goes on") == "done"
-    assert all(outcome != "done" for outcome in results.values()), results
-    assert len(results) == 6 and not plain.commands
+@probing
+async def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
+    # No channel is opened: messages carry channel 0 and token 0.
+    made = await greeted(plain.url)
+    await outcome(made.create_session())
+    await outcome(made.activate_session())
+    assert await outcome(asyncio.wait_for(give(made, "Reset"), 5)) != "done"
+    made.disconnect_socket()
+    # Tokens of sessions are consecutive: take over the operator's.
+    victim, thief = await connect(plain.url, OPERATOR), await greeted(plain.url)
+    await thief.open_secure_channel()
+    thief.uaclient.protocol.authentication_token = victim.uaclient.protocol.authentication_token
+    await outcome(thief.activate_session())
+    assert await outcome(asyncio.wait_for(give(thief, "Reset"), 5)) != "done"
+    thief.disconnect_socket()
+    assert await outcome(victim.get_node(path("Status.StateCurrent")).read_value()) == "done"
+    # Another's subscription cannot be ended, nor its items be removed, silenced or changed.
+    number = (await victim.create_subscription(100, None)).subscription_id
+    other, off = (await connect(plain.url, VIEWER)).uaclient, ua.MonitoringMode.Disabled
+    for tried in (
+        other.delete_subscriptions([number]),
+        other.delete_monitored_items(ua.DeleteMonitoredItemsParameters(number, [1])),
+        other.set_monitoring_mode(ua.SetMonitoringModeParameters(SubscriptionId=number, MonitoringMode=off)),
+        other.modify_monitored_items(ua.ModifyMonitoredItemsParameters(SubscriptionId=number)),
+    ):
+        assert await outcome(tried) != "done"
+    assert not plain.commands
 
 
-def test_a_client_changes_its_screen_as_often_as_it_likes_and_shows_no_more_than_is_allowed_at_once(plain):
-    results = probed("screens", plain.url, 20)
-    assert {results.pop(f"screen {number}") for number in range(20)} == {"done"}
-    assert len(results) == 20 and set(results.values()) == {"BadTooManyMonitoredItems"}
+@probing
+async def test_a_client_changes_its_screen_as_often_as_it_likes_and_shows_no_more_than_is_allowed_at_once(plain):
+    """Screens with 15 values and one that is not there, each by a subscription of its own."""
+    made = await connect(plain.url)
+    items = [made.get_node(path("Live.X"))] * 15 + [made.get_node(path("Live.None"))]
+    for _ in range(20):
+        subscription = await made.create_subscription(500, None)
+        for shown, result in ((items, "done"), (items * 12, "BadTooManyMonitoredItems")):
+            assert await outcome(subscription.subscribe_data_change(shown)) == result
+        await subscription.delete()
 
 
-def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain):
-    plain.commands.clear()
-    plain.slowness = 1.0
-    try:
-        probed("leave", plain.url, 3)
-    finally:
-        plain.slowness = 0.0
+@probing
+async def test_a_client_that_is_gone_before_its_answer_does_not_end_the_answers(plain, monkeypatch):
+    with monkeypatch.context() as slow:
+        slow.setattr(plain, "slowness", 1.0)
+        for _ in range(3):
+            made = await connect(plain.url, OPERATOR)
+            call = asyncio.ensure_future(give(made, "Reset"))
+            await asyncio.sleep(0.3)
+            made.disconnect_socket()
+            await outcome(asyncio.wait_for(call, 5))
     # An answer that could not be taken would have ended the thread that gives them.
     assert plain.commands and set(plain.commands) == {(Command.RESET, 0)}
-    plain.commands.clear()
-    assert probed("rights", plain.url)["operator"]["reset"] == "done"
+    assert await outcome(give(await connect(plain.url, OPERATOR), "Reset")) == "done"
 
 
-def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
-    with start("storm", plain.url, 30) as flood:
-        assert any(int(line) > 0 for line in flood.stdout)
-        flood.kill()
-    watch = start("watch", plain.url, 60)
-    assert watch.stdout.readline() == "ready\n"
+@probing
+async def test_a_flood_of_clients_that_are_killed_leaves_the_server_as_it_was(plain):
+    with flood(plain.url, 30) as storm:
+        assert any(int(line) > 0 for line in storm.stdout)
+        storm.kill()
+    beats, events = [], []
+
+    class Watch:
+        def datachange_notification(self, node, value, data):
+            beats.append(value)
+
+        def event_notification(self, event):
+            events.append((event.Message.Text, event.Severity))
+
+    made = await connect(plain.url)
+    subscription = await made.create_subscription(100, Watch())
+    await subscription.subscribe_data_change(made.get_node(path("Status.Heartbeat")))
+    await subscription.subscribe_events(made.get_node(ua.NodeId(CELL, 2)))
     plain.server.show(replace(WELL, alarms={"Fault": "driver: coil burnt"}))
-    time.sleep(1.0)
+    await asyncio.sleep(1.0)
     plain.server.show(WELL)
-    output, _ = watch.communicate(timeout=90)
-    seen = json.loads(output)
-    assert seen["heartbeats"] > 5 and seen["x"] == 0.25 and seen["fault"] == 6
-    assert seen["events"] == [["Fault: driver: coil burnt", 900], ["Fault: over", 1]]
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end and not (len(beats) > 5 and len(events) > 1):
+        await asyncio.sleep(0.05)
+    assert len(beats) > 5 and events == [("Fault: driver: coil burnt", 900), ("Fault: over", 1)]
+    assert [(await value(made, name))[0] for name in ("Live.X", "Status.FaultCode")] == [0.25, 6]
     assert plain.server.alive
 
 
-def test_without_encryption_no_client_gets_in_where_it_is_required(folder):
+@pytest.fixture
+def encrypted(folder):
+    """An encrypted gateway that trusts ``client``, and not ``stranger``."""
     for name in ("client", "stranger"):
         (folder / name).mkdir()
         files, usage = (folder / name / "key.pem", folder / name / "certificate.der"), [ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -195,13 +287,22 @@ def test_without_encryption_no_client_gets_in_where_it_is_required(folder):
     places = {"users": "users", "certificates": "own", "trusted": "trusted"}
     files = {name: str(folder / place) for name, place in places.items()}
     gateway = Gateway(OpcuaParameters(port=free_port(), security="encrypted", **files))
-    try:
-        results = probed("logins", gateway.url, folder / "client")
-    finally:
-        gateway.close()
-    assert results.pop("operator") == "done"
-    assert results["untrusted"] == "BadCertificateUntrusted"
-    assert all(outcome != "done" for outcome in results.values()) and len(results) == 5
+    yield gateway
+    gateway.close()
+
+
+@probing
+async def test_without_encryption_no_client_gets_in_where_it_is_required(encrypted, folder):
+    known, stranger = folder / "client", folder / "stranger"
+    assert await outcome(connect(encrypted.url, OPERATOR, known)) == "done"
+    assert await outcome(connect(encrypted.url, OPERATOR, stranger)) == "BadCertificateUntrusted"
+    for user, certificates in (
+        (OPERATOR, None),
+        ((OPERATOR[0], "wrong horse"), known),
+        (("eve", OPERATOR[1]), known),
+        (None, known),
+    ):
+        assert await outcome(connect(encrypted.url, user, certificates)) != "done"
     assert (folder / "own" / "key.pem").stat().st_mode & 0o077 == 0
 
 
@@ -210,31 +311,33 @@ def test_a_port_that_is_taken_is_an_error(plain):
         GatewayServer(OpcuaParameters(port=plain.port), ["driver"])
 
 
-def use(*arguments):
+async def use(*arguments):
     """Read what no gateway has, by the reference client."""
-
-    async def used():
-        async with connected(*arguments) as cell:
-            await cell._client.get_node("ns=9;s=Nothing").read_value()
-
-    asyncio.run(asyncio.wait_for(used(), 60))
+    async with connected(*arguments) as cell:
+        await cell._client.get_node("ns=9;s=Nothing").read_value()
 
 
 @pytest.mark.parametrize("namespace", [client.NAMESPACE, "urn:another"])
-def test_what_the_gateway_refuses_while_it_is_connected_ends_the_block_with_its_reason(plain, monkeypatch, namespace):
+@probing
+async def test_what_the_gateway_refuses_while_it_is_connected_ends_the_block_with_its_reason(
+    plain, monkeypatch, namespace
+):
     monkeypatch.setattr(client, "NAMESPACE", namespace)
     with pytest.raises(CycleFailed, match=f"BadNodeIdUnknown|{namespace}"):
-        use(plain.url, "ann", "correct horse")
+        await use(plain.url, *OPERATOR)
 
 
-def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_leaves_the_others_in(plain, folder, caplog):
+@probing
+async def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_leaves_the_others_in(
+    plain, folder, caplog
+):
     users, added = folder / "users", ("eve", "to be gone")
     others = users.read_text()
 
-    async def goes_on(name, password, then=lambda: None):
+    async def goes_on(user, then=lambda: None):
         """Whether a session of the user works, also after ``then()``, for some seconds."""
         try:
-            async with connected(plain.url, name, password) as cell:
+            async with connected(plain.url, *user) as cell:
                 await cell.state()
                 then()
                 for _ in range(50):
@@ -244,17 +347,13 @@ def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_leaves_
         except (OSError, CycleFailed):
             return False
 
-    async def both():
-        return await asyncio.gather(
-            goes_on("ann", "correct horse"), goes_on(*added, then=lambda: users.write_text(others))
-        )
-
     add_user(users, *added)
-    time.sleep(2.0)
-    assert asyncio.run(both()) == [True, False] and "ended a session of user eve" in caplog.text
-    assert not asyncio.run(goes_on(*added))
+    await asyncio.sleep(2.0)
+    both = await asyncio.gather(goes_on(OPERATOR), goes_on(added, then=lambda: users.write_text(others)))
+    assert both == [True, False] and "ended a session of user eve" in caplog.text
+    assert not await goes_on(added)
     users.write_text("ann:god::\n")
-    assert asyncio.run(goes_on("ann", "correct horse")) and "remain" in caplog.text
+    assert await goes_on(OPERATOR) and "remain" in caplog.text
     users.write_text(others)
 
 
@@ -289,43 +388,43 @@ def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(tmp_p
     assert re.fullmatch(f".*{words}.*" if works and words else "", "".join(said))
 
 
-def test_a_live_value_says_whether_no_samples_come_or_it_is_not_known(plain):
+@probing
+async def test_a_live_value_says_whether_no_samples_come_or_it_is_not_known(plain):
     unknown, silent = "BadWaitingForInitialData", "BadNoCommunication"
+    made = await connect(plain.url)
 
-    async def qualities():
-        async with connected(plain.url, "ann", "correct horse") as cell:
-            nodes = [cell._node(f"Live.{name}") for name in ("X", "SlidingVariable", "ErrorPeakToPeak", "Samples")]
-            values = [await node.read_data_value(raise_on_bad_status=False) for node in nodes]
-            return [value.StatusCode.name for value in values]
+    async def become(*qualities):
+        names = [f"Live.{name}" for name in ("X", "SlidingVariable", "ErrorPeakToPeak", "Samples")]
+        while (found := [(await value(made, name))[1] for name in names]) != [*qualities]:
+            await asyncio.sleep(0.05)
+        return found
 
     # A gateway that has just started has shown nothing yet.
-    assert comes_true(lambda: asyncio.run(qualities()) == ["Good", unknown, unknown, "Good"])
+    await asyncio.wait_for(become("Good", unknown, unknown, "Good"), 60)
     plain.server.show(replace(WELL, seen=replace(WELL.seen, fresh=False)))
-    found = comes_true(lambda: asyncio.run(qualities()) == [silent, silent, unknown, silent])
-    plain.server.show(WELL)
-    assert found
+    try:
+        await asyncio.wait_for(become(silent, silent, unknown, silent), 60)
+    finally:
+        plain.server.show(WELL)
 
 
-def test_a_gateway_with_another_certificate_is_named_with_the_file_that_is_not_its_own(tmp_path, monkeypatch):
+@probing
+async def test_a_gateway_with_another_certificate_is_named_with_the_file_that_is_not_its_own(tmp_path, monkeypatch):
     """It cannot read what it is sent, as one cannot that answers nothing."""
-    asyncio.run(gateway_server._own_certificate(tmp_path))
+    certificate, _ = await gateway_server._own_certificate(tmp_path)
     monkeypatch.setattr(client, "_CONNECT_WITHIN_S", 0.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"opc.tcp://127.0.0.1:{silent.getsockname()[1]}/"
-
-        async def connecting():
-            async with connected(url, "ann", "", tmp_path, tmp_path / "certificate.der"):
-                pass
-
-        with pytest.raises(CycleFailed, match=f"says nothing; or {tmp_path}/certificate.der"):
-            asyncio.run(asyncio.wait_for(connecting(), 60))
+        with pytest.raises(CycleFailed, match=f"says nothing; or {certificate}"):
+            await use(url, "ann", "", tmp_path, certificate)
 
 
 @pytest.mark.parametrize("content", [None, b"no certificate"])
-def test_a_certificate_that_cannot_be_read_ends_the_reference_client_at_once(tmp_path, content):
+@probing
+async def test_a_certificate_that_cannot_be_read_ends_the_reference_client_at_once(tmp_path, content):
     certificate = tmp_path / "certificate.der"
     if content is not None:
         for file in (certificate, tmp_path / "key.pem"):
             file.write_bytes(content)
     with pytest.raises(CycleFailed, match=re.escape(str(certificate))):
-        use("opc.tcp://127.0.0.1:1/", "ann", "", tmp_path, certificate)
+        await use("opc.tcp://127.0.0.1:1/", "ann", "", tmp_path, certificate)
