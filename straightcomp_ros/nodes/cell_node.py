@@ -49,10 +49,9 @@ class CellNode(Runnable):
             batches=(),
             fresh=parameters.sample_timeout,
             patient=True,
-            description=parameters.stage.identity,
+            stage=parameters.stage,
             silent_after=parameters.heartbeat_timeout,
         )
-        self._graph.expect_strokes(parameters.stage.motion.speed, parameters.stage.encoder.x_resolution)
         self._seen = Observation()
         self._sequence = CellSequence(
             self._graph,

@@ -36,8 +36,7 @@ class OpcuaNode(Runnable):
         self._parameters = parameters = declare(node, OpcuaNodeParameters)
         self.node, self.done, self.realtime = node, Future(), parameters.realtime
         names = parameters.nodes.split()
-        self._graph = GraphClient(node, names, description=parameters.stage.identity)
-        self._graph.expect_strokes(parameters.stage.motion.speed, parameters.stage.encoder.x_resolution)
+        self._graph = GraphClient(node, names, stage=parameters.stage)
         self._remote = RemoteParameters(node, ["driver"])
         self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout)
         self._alarms = Alarms(parameters.error_limit)

@@ -51,6 +51,7 @@ from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningWatch, S
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.safety.faults import one_line
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.node_timing import (
     DESCRIPTION,
     EXCITATION,
@@ -134,7 +135,7 @@ class GraphClient:
         batches: streams to read from their batches, as errors and σ of `controller_state`, besides the position.
         fresh: time after the last sample for which the observation is fresh, s.
         patient: the observation is also fresh before the first sample, until :meth:`expect_samples` is called.
-        description: of the stage, by which ``node`` itself moves it; empty if it does not.
+        stage: its description, by which ``node`` itself moves it; None if it does not.
         silent_after: time in s after its last heartbeat from which a node counts as silent.
 
     Attributes:
@@ -150,11 +151,10 @@ class GraphClient:
         batches: Iterable[Stream] = (CONTROLLER_STATE, DRIVER_STATE),
         fresh: float = 0.5,
         patient: bool = False,
-        description: str = "",
+        stage: StageParameters | None = None,
         silent_after: float = 5.0,
     ) -> None:
         self.node, self._fresh = node, fresh
-        self._own = {node.get_name(): description} if description else {}
         self.safety, self._reported_off = SafetyState(), False
         self._clients: dict[str, ServiceClient] = {}
         for kind, names_of_kind in _SERVICES.items():
@@ -174,7 +174,10 @@ class GraphClient:
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_subscription(DiagnosticStatus, STAGE_STATE, self._on_stage_state, LATCHED)
-        self._strokes = StrokeErrors()
+        self._strokes, self._own = StrokeErrors(), dict[str, str]()
+        if stage is not None:
+            self._own[node.get_name()] = stage.identity
+            self.expect_strokes(stage.motion.speed, stage.encoder.x_resolution)
         self._newest = Observation()
         self._last_came = math.inf if patient else -math.inf
         self._reports: dict[str, tuple[float, str | None, dict[str, str]]] = {}

@@ -11,7 +11,7 @@ timer of the executor calls all timers of the node.
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -71,14 +71,11 @@ class SteadyTimers:
     def add(self, period_s: float, callback: Callable[[], object]) -> SteadyTimer:
         """A new timer; its first call is due after ``period_s``, at a tick."""
         period_ns = round(period_s * 1e9)
+        self._timers = [timer for timer in self._timers if timer.due_ns < math.inf]
         # A timer that is due between two ticks would be called at one or the other, depending on their jitter.
         ticks = -((self._begin_ns - self._monotonic_ns()) // _TICK_NS)
         self._timers.append(SteadyTimer(period_ns, callback, self._begin_ns + ticks * _TICK_NS + period_ns))
         return self._timers[-1]
-
-    def cancel(self, timers: Sequence[SteadyTimer]) -> None:
-        """Cancel some of them."""
-        self._timers = [timer for timer in self._timers if timer not in timers]
 
     def call_one(self) -> bool:
         """Call the timer that has been due longest; returns whether one was due."""
@@ -132,8 +129,8 @@ class GuardedNode(Node):
 
     def cancel_timers(self, first: int) -> None:
         """Cancel the node's own timers from number ``first`` on."""
-        self.steady_timers.cancel(self.own_timers[first:])
-        del self.own_timers[first:]
+        while len(self.own_timers) > first:
+            self.own_timers.pop().cancel()
 
     def create_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any], None], *more: Any, **options: Any

@@ -4,13 +4,19 @@ Nodes in one process share one loop, the driver's: each time it has samples it l
 others get is sent by a thread, since the middleware takes 100 µs for a batch, nearly a period at 8 kHz.
 """
 
+from __future__ import annotations
+
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from straightcomp_ros.contract import Stream
 from straightcomp_ros.runtime.loops import WorkerThread
+
+if TYPE_CHECKING:
+    from straightcomp_ros.runtime.streams import Streams
 
 _DEPTH = 1000
 """Messages that wait for a node that is not active: those of half a second, as in a subscription's queue."""
@@ -25,43 +31,26 @@ class IntraProcess:
 
     Attributes:
         queues: by topic, those that get a stream's messages.
-        publishers: those of these nodes: place of the node, topic, and what publishes the new messages for others.
+        ends: those of each node, in the order in which the nodes do their cycles.
         sender: the thread that sends what others get.
     """
 
     def __init__(self, streams: Iterable[Stream]) -> None:
         self.queues: dict[str, list[MemoryQueue]] = {stream.topic: [] for stream in streams}
-        self.publishers: list[tuple[int, str, Callable[[], object]]] = []
-        self._cycles: dict[int, Callable[[], object]] = {}
+        self.ends: list[Streams] = []
         self.sender = WorkerThread(lambda reason: print(reason, file=sys.stderr))
         self.sender.start()
 
-    def follow(self, place: int, cycle: Callable[[], object]) -> None:
-        """Call ``cycle`` in each :meth:`deliver`, after those of the nodes with a lower ``place``."""
-        self._cycles = dict(sorted({**self._cycles, place: cycle}.items()))
-
-    def leave(self, place: int, queues: Iterable["MemoryQueue"]) -> None:
-        """Forget the cycle, the queues and the publishers of the node at this place; all it published has been sent."""
-        self._cycles.pop(place, None)
-        self.publishers = [publisher for publisher in self.publishers if publisher[0] != place]
-        gone = set(map(id, queues))
-        for waiting in self.queues.values():
-            waiting[:] = [queue for queue in waiting if id(queue) not in gone]
-        self.sender.wait()
-
-    def publish(self, place: int, topic: str, publish_new: Callable[[], object]) -> None:
-        """Add a publisher of the node at this place."""
-        self.publishers.append((place, topic, publish_new))
-
     def deliver(self) -> None:
         """Let each node do its cycle with what was handed over to it."""
-        for cycle in self._cycles.values():
-            cycle()
+        for end in self.ends:
+            end.cycle()
 
     def publish_records(self) -> None:
         """Publish what the nodes have made since the last call."""
-        for _, _, publish_new in self.publishers:
-            publish_new()
+        for end in self.ends:
+            for publisher in end.records.values():
+                publisher.publish_new()
 
 
 class MemoryQueue:

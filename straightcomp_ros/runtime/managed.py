@@ -69,7 +69,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
     """Handles the transitions; the component does their work.
 
     ``parameter_set`` has a field ``autostart`` and one ``realtime``; ``make(node, parameters)`` makes the component.
-    ``shared`` and ``place`` are as of :class:`~.streams.Streams`.
+    ``shared`` is as of :class:`~.streams.Streams`.
 
     Attributes:
         active: whether the state is active.
@@ -79,17 +79,10 @@ class ManagedNode(GuardedNode, LifecycleNode):
         loop_of_process: the loop that runs now in this process, if any: with several nodes, that of one of them.
     """
 
-    def __init__(
-        self,
-        name: str,
-        parameter_set: type,
-        make: MakeComponent,
-        shared: IntraProcess | None = None,
-        place: int = 0,
-    ) -> None:
+    def __init__(self, name: str, parameter_set: type, make: MakeComponent, shared: IntraProcess | None = None) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self.done, self.turn = Future(), Future()
-        self.streams = Streams(self, shared, place)
+        self.streams = Streams(self, shared)
         self.loop_of_process: Callable[[], Loop | None] = lambda: self.loop
         self._parameter_set, self._make = parameter_set, make
         self._component: Component | None = None
@@ -239,7 +232,7 @@ class ManagedNode(GuardedNode, LifecycleNode):
         ]
 
         def destroy() -> None:
-            self.steady_timers.cancel([later])
+            later.cancel()
             for entity in withdrawn:
                 entity()
 

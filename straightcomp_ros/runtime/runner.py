@@ -183,11 +183,7 @@ def run_managed(
     They are in one process, called ``name`` or like the first one, with the loop of the first one. Streams of
     ``shared`` are handed over in memory.
     """
-
-    def made() -> Sequence[ManagedNode]:
-        return [ManagedNode(*part, shared, place) for place, part in enumerate(parts)]
-
-    return run(name or parts[0][0], Composition, arguments, made)
+    return run(name or parts[0][0], Composition, arguments, lambda: [ManagedNode(*part, shared) for part in parts])
 
 
 def _complete(future: Future, result: int) -> None:

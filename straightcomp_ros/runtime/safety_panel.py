@@ -169,23 +169,18 @@ class SafetyPanel:
 
     def _on_enable(self, on: bool) -> str:
         """Switch the amplifier on (refused while a fault is latched or fresh commands are missing), or off."""
-        refusal, before = "", self._safety.condition
+        before, message = self._safety.condition, f"amplifier {'on' if on else 'off'}"
         if not on:
             self._safety.disable()
-        else:
-            refusal = "" if self._safety.fault else self._refusal()
-            if not refusal:
-                refusal = self._safety.enable()
-                self._on_for_client = bool(self._client.doing)
-        message = f"amplifier {'on' if on else 'off'}"
-        if refusal:
+        elif refusal := ("" if self._safety.fault else self._refusal()) or self._safety.enable():
             self._refused.log(refusal)
-        elif self._safety.condition is not before:
+            raise Refused(refusal)
+        else:
+            self._on_for_client = bool(self._client.doing)
+        if self._safety.condition is not before:
             self._anew()
             self._node.get_logger().info(f"enable: {message}")
-        self.report()
-        if refusal:
-            raise Refused(refusal)
+            self.report()
         return message
 
     def _on_reset_fault(self) -> str:

@@ -344,14 +344,22 @@ class SubscriptionQueue:
 class Streams:
     """The ends of streams that one component of ``node`` uses, until :meth:`close`.
 
-    With ``shared`` the streams of this process are handed over in memory; the node has a ``place`` in the order in
-    which nodes do their cycles.
+    With ``shared`` the streams of this process are handed over in memory; nodes do their cycles in the order in which
+    their ends are made.
+
+    Attributes:
+        cycle: that of the node, for the driver's loop; nothing until :meth:`follow`.
+        records: by topic, publishers whose messages wait for :meth:`publish_records`.
     """
 
-    def __init__(self, node: Any, shared: IntraProcess | None = None, place: int = 0) -> None:
-        self._node, self._shared, self._place = node, shared, place
+    def __init__(self, node: Any, shared: IntraProcess | None = None) -> None:
+        self._node, self._shared = node, shared
+        self.cycle: Callable[[], object] = _nothing
+        self.records: dict[str, RecordPublisher] = {}
         self._memory: list[MemoryQueue] = []
         self._unspun: Node | None = None
+        if shared:
+            shared.ends.append(self)
 
     @property
     def unspun(self) -> Node:
@@ -393,14 +401,13 @@ class Streams:
         # What is published at once without being handed over is what others wait for.
         if not self._shared or (at_once and stream.topic not in self._shared.queues):
             return StreamPublisher(self._node, stream, rate, seconds, at_once=at_once, sender=sender)
-        publisher = RecordPublisher(self._node, stream, self._shared.queues.get(stream.topic, ()), self._shared.sender)
-        self._shared.publish(self._place, stream.topic, publisher.publish_new)
-        return publisher
+        queues = self._shared.queues.get(stream.topic, ())
+        self.records[stream.topic] = RecordPublisher(self._node, stream, queues, self._shared.sender)
+        return self.records[stream.topic]
 
     def follow(self, cycle: Callable[[], object]) -> None:
         """In a process of several nodes: let the driver's loop call ``cycle``, in place of this node's own loop."""
-        if self._shared:
-            self._shared.follow(self._place, lambda: cycle() if self._node.active else None)
+        self.cycle = lambda: cycle() if self._node.active else None
 
     def let_readers_run(self) -> bool:
         """Let those run who wait for what was published just now; returns whether they have had their turn."""
@@ -429,7 +436,7 @@ class Streams:
         count = publisher_count(self._node, self._node.resolve_topic_name(stream.topic))
 
         def look() -> None:
-            found[0] = count() > sum(topic == stream.topic for _, topic, _ in shared.publishers)
+            found[0] = count() > sum(stream.topic in end.records for end in shared.ends)
 
         def others() -> bool:
             shared.sender.run(look)
@@ -450,13 +457,20 @@ class Streams:
         return queue
 
     def close(self) -> None:
-        """End the subscriptions."""
+        """End the subscriptions and the cycle; all that was published has been sent."""
         if self._shared:
-            self._shared.leave(self._place, self._memory)
+            self.cycle, self.records = _nothing, {}
+            for waiting in self._shared.queues.values():
+                waiting[:] = [queue for queue in waiting if queue not in self._memory]
             self._memory = []
+            self._shared.sender.wait()
         if self._unspun is not None:
             self._unspun.destroy_node()
             self._unspun = None
+
+
+def _nothing() -> None:
+    pass
 
 
 def _sending(

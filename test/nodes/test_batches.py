@@ -131,7 +131,7 @@ def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_
 
 def test_what_is_handed_over_in_memory_is_published_for_others_after_the_turn_of_the_loop(pair):
     shared = IntraProcess((ENCODER,))
-    sender, receiver = (Streams(pair.writer, shared, place) for place in (0, 1))
+    sender, receiver = (Streams(pair.writer, shared) for _ in range(2))
     queue, publish = receiver.queue(ENCODER), sender.publisher(ENCODER, 2000, at_once=True)
     pair.wait(lambda: pair.queue.connected)
     time.sleep(0.2)

@@ -142,7 +142,7 @@ def test_a_timer_is_called_at_a_tick_once_in_each_period_and_once_after_a_stall_
 def test_a_cancelled_timer_is_never_called_even_if_another_cancels_it_in_the_same_turn():
     timers = Timers()
     timers.named(0.1, "kept")
-    timers.add(0.11, lambda: timers.cancel([late]))
+    timers.add(0.11, lambda: late.cancel())
     timers.named(0.1, "cancelled").cancel()
     late = timers.named(0.12, "late")
     assert timers.after(0.5) == ["kept"]
