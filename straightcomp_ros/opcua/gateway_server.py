@@ -5,7 +5,6 @@ import logging
 import math
 import os
 import queue
-import shutil
 import socket
 import sys
 import threading
@@ -16,16 +15,19 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
 from itertools import compress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TextIO
 
 from asyncua import Server, ua
-from asyncua.crypto.cert_gen import setup_self_signed_certificate
+from asyncua.crypto.cert_gen import (
+    dump_private_key_as_pem,
+    generate_private_key,
+    generate_self_signed_app_certificate,
+)
 from asyncua.crypto.truststore import TrustStore
 from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
-from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from straightcomp_ros.cell.packml import Command, Order
@@ -185,7 +187,7 @@ class GatewayServer:
         server.set_server_name(PACKAGE)
         await server.set_application_uri(APPLICATION)
         if parameters.encrypted:
-            certificate, key = await _own_certificate(parameters.certificates)
+            certificate, key = _own_certificate(parameters.certificates)
             await server.load_certificate(certificate)
             await server.load_private_key(key)
         server.set_security_policy(_ENCRYPTED if parameters.encrypted else _OPEN, LeftToTheSession())
@@ -229,7 +231,7 @@ def end_sessions(clients: Sequence[OPCUAProtocol], users: Collection[str]) -> No
             client.transport.abort()
 
 
-async def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
+def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
     """Certificate (DER) and key (PEM) in ``folder``. Whichever is missing is made there, and nothing else is written:
     clients trust the certificate that is there, and an administrator may have issued it."""
     certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
@@ -237,20 +239,17 @@ async def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
     before = os.umask(0o077)
     try:
         certificate.parent.mkdir(parents=True, exist_ok=True)
-        if made := not certificate.exists():
-            usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-            # asyncua would write them in place.
-            with TemporaryDirectory() as place:
-                new = {file: Path(place) / file.name for file in (key, certificate)}
-                if key.exists():
-                    shutil.copyfile(key, new[key])
-                subject = {"organizationName": PACKAGE}
-                await setup_self_signed_certificate(new[key], new[certificate], APPLICATION, host, usage, subject)
-                for file in new:
-                    if not file.exists():
-                        write_whole(file, new[file].read_bytes(), private=True)
-        own = x509.load_der_x509_certificate(certificate.read_bytes())
+        made = not certificate.exists()
+        if made and not key.exists():
+            write_whole(key, dump_private_key_as_pem(generate_private_key()), private=True)
         private = load_pem_private_key(key.read_bytes(), None)
+        if made:
+            names = [x509.UniformResourceIdentifier(APPLICATION), x509.DNSName(host)]
+            usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+            subject = {"organizationName": PACKAGE}
+            issued = generate_self_signed_app_certificate(private, APPLICATION, subject, names, usage)
+            write_whole(certificate, issued.public_bytes(Encoding.DER), private=True)
+        own = x509.load_der_x509_certificate(certificate.read_bytes())
     except (OSError, ValueError, TypeError) as error:
         # TypeError: the key is protected by a password.
         raise AdmissionError(f"certificates in {folder}: {error}") from error

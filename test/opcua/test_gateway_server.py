@@ -382,7 +382,7 @@ def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(tmp_p
         (tmp_path / name).write_bytes(content)
     works = days and key == "own"
     with nullcontext() if works else pytest.raises(AdmissionError, match=words):
-        asyncio.run(gateway_server._own_certificate(tmp_path))
+        gateway_server._own_certificate(tmp_path)
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
     said = [record.getMessage() for record in caplog.records if record.name == gateway_server.__name__]
     assert re.fullmatch(f".*{words}.*" if works and words else "", "".join(said))
@@ -411,7 +411,7 @@ async def test_a_live_value_says_whether_no_samples_come_or_it_is_not_known(plai
 @probing
 async def test_a_gateway_with_another_certificate_is_named_with_the_file_that_is_not_its_own(tmp_path, monkeypatch):
     """It cannot read what it is sent, as one cannot that answers nothing."""
-    certificate, _ = await gateway_server._own_certificate(tmp_path)
+    certificate, _ = gateway_server._own_certificate(tmp_path)
     monkeypatch.setattr(client, "_CONNECT_WITHIN_S", 0.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"opc.tcp://127.0.0.1:{silent.getsockname()[1]}/"
