@@ -96,7 +96,6 @@ class PeriodicLoop(Loop):
         self._cycle = cycle
 
     def run(self, stopped: Callable[[], bool], idle: Callable[[], None], idle_every_ns: int = IDLE_EVERY_NS) -> None:
-        """See :class:`Loop`."""
         if sys.platform == "linux":
             # To save power, Linux wakes a normal thread up to 50 µs late: a tenth of our period.
             ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1)
@@ -104,7 +103,6 @@ class PeriodicLoop(Loop):
         super().run(stopped, idle, idle_every_ns)
 
     def turn(self) -> tuple[int, int]:
-        """See :class:`Loop`."""
         monotonic_ns, wake_ns = time.monotonic_ns, self._due_ns
         behind_ns = monotonic_ns() - wake_ns
         if behind_ns > 0:
@@ -151,7 +149,6 @@ class MessageLoop(Loop):
         self._wait, self._cycle = wait, cycle
 
     def turn(self) -> tuple[int, int]:
-        """See :class:`Loop`."""
         self._wait(IDLE_EVERY_NS)
         woken_ns = time.monotonic_ns()
         count, age_ns = self._cycle()

@@ -145,7 +145,6 @@ class Composition(Runnable):
 
     @property
     def loop(self) -> Loop | None:
-        """See :class:`ManagedNode`."""
         return self.node.loop
 
     @property
@@ -157,7 +156,6 @@ class Composition(Runnable):
         return turn
 
     def fail(self, error: Exception) -> None:
-        """See :meth:`ManagedNode.fail`."""
         self.node.fail(error)
 
     def close(self) -> None:

@@ -37,17 +37,19 @@ _LIVELY = QoSProfile(
 )
 
 
-class CommissioningSign:
-    """Says that a client commissions the machine, as long as its process lives and ``node`` exists."""
+def commissioning_sign(node: Node) -> Callable[[str], None]:
+    """A function that says what is done to the machine from now on. A client commissions it as long as its process
+    lives and ``node`` exists."""
+    publisher, by = (
+        node.create_publisher(DiagnosticStatus, COMMISSIONING_CLIENT, _LIVELY),
+        node.get_fully_qualified_name(),
+    )
 
-    def __init__(self, node: Node) -> None:
-        self._publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_CLIENT, _LIVELY)
-        self._by = node.get_fully_qualified_name()
-        self.report(_BEGINS)
+    def report(doing: str) -> None:
+        publisher.publish(DiagnosticStatus(name=COMMISSIONING_CLIENT, message=doing, hardware_id=by))
 
-    def report(self, doing: str) -> None:
-        """Say what is done to the machine from now on."""
-        self._publisher.publish(DiagnosticStatus(name=COMMISSIONING_CLIENT, message=doing, hardware_id=self._by))
+    report(_BEGINS)
+    return report
 
 
 class CommissioningWatch:

@@ -33,13 +33,7 @@ def test_a_sourced_installation_has_the_executables_and_a_missing_one_is_named_w
         executable_command("controller_node")
 
 
-def test_a_checkout_runs_its_own_modules(tmp_path, monkeypatch):
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    python, _, code = executable_command("driver_node")
-    assert python == sys.executable and "straightcomp_ros.nodes.driver_node" in code
-
-
-def test_what_lies_in_the_working_directory_is_not_run(tmp_path, monkeypatch):
+def test_a_checkout_runs_its_own_modules_and_not_what_lies_in_the_working_directory(tmp_path, monkeypatch):
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     stub = tmp_path / "straightcomp_ros" / "cli" / "main.py"
     stub.parent.mkdir(parents=True)
@@ -47,7 +41,8 @@ def test_what_lies_in_the_working_directory_is_not_run(tmp_path, monkeypatch):
         file.write_text("raise SystemExit('a stub')\n")
     done = subprocess.run(verb_command("--version"), cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("straightcomp ")
-    node, verb = executable_command("driver_node")[2], verb_command("demo")[2]
+    (python, _, node), verb = executable_command("driver_node"), verb_command("demo")[2]
+    assert python == sys.executable and "straightcomp_ros.nodes.driver_node" in node
     assert node.splitlines()[0] == verb.splitlines()[0]
 
 

@@ -21,41 +21,36 @@ def run(strokes, positions, error, position_at_once=1, error_at_once=1):
         )
 
 
+def stroke(step, still, moving, margin):
+    """Positions of a stroke of ``step`` (m) in each sample, at rest before and after it, and the errors meanwhile: 3 µm
+    peak to peak ``margin`` samples away from its ends, more before it."""
+    positions = [step * min(max(number - still, 0), moving) for number in range(2 * still + moving)]
+
+    def error(number):
+        inside = still + margin <= number < still + moving - margin
+        return (1e-6 if number % 2 else -2e-6) if inside else (9e-6 if number < still else 0.0)
+
+    return positions, error
+
+
 @pytest.mark.parametrize(("positions_at_once", "errors_at_once"), [(1, 1), (450, 450), (450, 1), (1, 450), (150, 45)])
 def test_the_error_of_a_movement_is_known_when_it_ends_and_rest_does_not_count(positions_at_once, errors_at_once):
     strokes = StrokeErrors()
-    still, moving = 100, 250
-    positions = [0.0] * still + [0.0002 * k for k in range(moving)] + [0.0002 * moving] * still
-    inside = range(still + 50, still + moving - 50)
-
-    def error(number):
-        return (1e-6 if number % 2 else -2e-6) if number in inside else (9e-6 if number < still else 0.0)
-
-    run(strokes, positions, error, positions_at_once, errors_at_once)
+    run(strokes, *stroke(2e-4, 100, 250, 50), positions_at_once, errors_at_once)
     assert strokes.still
     assert strokes.last_pp == pytest.approx(3e-6)
 
 
 @pytest.mark.parametrize("speed", [1e-4, 1e-5, 2e-7])
 def test_slow_strokes_are_seen_as_far_as_the_encoder_shows_them(speed):
-    strokes = StrokeErrors()
-    strokes.expect(speed, 1e-7)
-    still, moving = 3000, 6000
-    way = [0.004 * speed * min(max(number - still, 0), moving) for number in range(2 * still + moving)]
-
-    def error(number):
-        inside = still + 1500 < number < still + moving - 1500
-        return (1e-6 if number % 2 else -2e-6) if inside else (9e-6 if number < still else 0.0)
-
+    way, error = stroke(0.004 * speed, 3000, 6000, 1500)
     # The reading jumps by a count at rest.
     positions = [1e-7 * (round(x / 1e-7) + number % 2) for number, x in enumerate(way)]
-    run(strokes, positions[: still + 3000], error)
-    assert not strokes.still
-    strokes = StrokeErrors()
-    strokes.expect(speed, 1e-7)
-    run(strokes, positions, error)
-    assert strokes.still
-    assert strokes.last_pp == pytest.approx(3e-6)
+    for samples, still, last_pp in ((6000, False, math.nan), (len(positions), True, 3e-6)):
+        strokes = StrokeErrors()
+        strokes.expect(speed, 1e-7)
+        run(strokes, positions[:samples], error)
+        assert strokes.still is still and strokes.last_pp == pytest.approx(last_pp, nan_ok=True)
 
 
 def test_a_movement_of_which_samples_are_missing_is_one():

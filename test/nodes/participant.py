@@ -55,7 +55,9 @@ class Participant:
         self.until(lambda: time.monotonic() > end)
 
     def call(self, kind, name, request=None):
-        client = self._clients.setdefault(name, self.node.create_client(kind, name))
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        client = self._clients[name]
         self.until(client.service_is_ready)
         future = client.call_async(request or kind.Request())
         self.until(future.done)

@@ -34,6 +34,11 @@ class Pair(Participant):
 
         self.until(came)
 
+    def connect(self, condition):
+        """Wait for it, and until the middleware has connected what it has discovered."""
+        self.wait(condition)
+        time.sleep(0.2)
+
     def __exit__(self, *_):
         self.streams.close()
         self.writer.destroy_node()
@@ -66,8 +71,7 @@ def test_a_reader_has_each_message_once_whether_batches_come_go_or_never_were(pa
     for rate, count in ((None, 300), (2000, 1000), (None, 100)):
         # The reader of one by one is there again when the publisher of batches has gone.
         publish = StreamPublisher(pair.writer, ENCODER, rate, at_once=True)
-        pair.wait(lambda: pair.queue.connected and pair.direct_readers() == 1)
-        time.sleep(0.2)
+        pair.connect(lambda: pair.queue.connected and pair.direct_readers() == 1)
         pair.send(publish, count)
         sent += count
         # What a batch still lacks comes with the next look of its timer.
@@ -92,14 +96,12 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
         received.extend(TRUTH.layout.unpack(data)[0] // PERIOD for data, _ in batches.fetch())
         return received
 
-    pair.wait(lambda: batches.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
-    time.sleep(0.2)
+    pair.connect(lambda: batches.connected and pair.writer.count_subscribers(TRUTH.topic) == 1)
     send(range(100))
     # Having had the first batch the reader leaves the stream itself, and no other node reads that.
     pair.wait(lambda: look() == list(range(100)) and pair.writer.count_subscribers(TRUTH.topic) == 0)
     direct = pair.streams.queue(TRUTH)
-    pair.wait(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
-    time.sleep(0.2)
+    pair.connect(lambda: pair.writer.count_subscribers(TRUTH.topic) == 1)
     send(range(100, 120))
     pair.wait(lambda: seen.extend(stamp // PERIOD for stamp, _, _ in direct.fetch()) or len(seen) == 20)
     assert seen == list(range(100, 120))
@@ -109,8 +111,7 @@ def test_a_stream_that_no_loop_waits_for_comes_one_by_one_only_to_who_subscribes
 def test_a_message_of_a_batch_says_when_it_was_made_and_not_when_the_batch_went_out(pair):
     publish = StreamPublisher(pair.writer, TRUTH, None)
     batches = pair.streams.raw_batches(TRUTH)
-    pair.wait(lambda: batches.connected)
-    time.sleep(0.2)
+    pair.connect(lambda: batches.connected)
     publish(0, *NOUGHT)
     publish.flush()
     first = []
@@ -133,8 +134,7 @@ def test_what_is_handed_over_in_memory_is_published_for_others_after_the_turn_of
     shared = IntraProcess((ENCODER,))
     sender, receiver = (Streams(pair.writer, shared) for _ in range(2))
     queue, publish = receiver.queue(ENCODER), sender.publisher(ENCODER, 2000, at_once=True)
-    pair.wait(lambda: pair.queue.connected)
-    time.sleep(0.2)
+    pair.connect(lambda: pair.queue.connected)
     stamps = [k * PERIOD for k in range(100)]
     for stamp in stamps:
         publish(stamp, 0.0, 0.0, 0.0, 0.0)

@@ -6,6 +6,7 @@ import sys
 import time
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
+from itertools import chain, repeat
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -32,7 +33,7 @@ from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
-from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningSign, SafetyState, safety_status
+from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState, commissioning_sign, safety_status
 from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import LONGEST_REASON, Fault
@@ -234,48 +235,49 @@ def test_a_node_is_silent_before_its_first_heartbeat_and_a_second_after_its_last
     assert silent.index(True) in (9, 10) and heartbeats.states == {"logger": "active"}
 
 
-def test_a_status_has_the_level_of_its_values_the_hardware_and_the_namespace_in_its_name(participant):
-    found, node, values = [], Node("reporter", namespace="/line_3"), {SAMPLES: 0, "error": "coil burnt"}
-    participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda one: found.extend(one.status), 100)
-    diagnostics = Diagnostics(node, lambda: values, hardware_id="bench 7")
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_report_has_the_level_of_its_values_hardware_namespace_and_the_time_of_samples_or_of_a_simulation_that_began(
+    participant, simulated
+):
+    of_simulation = [Parameter("use_sim_time", value=simulated)]
+    found, node = [], Node("reporter", namespace="/line_3", parameter_overrides=of_simulation)
+    participant.node.create_subscription(DiagnosticArray, DIAGNOSTICS, found.append, 100)
+    diagnostics = Diagnostics(node, lambda: {SAMPLES: 0, "error": "coil burnt"}, hardware_id="bench 7")
     participant.until(lambda: node.count_subscribers(DIAGNOSTICS) and participant.node.count_publishers(DIAGNOSTICS))
-    for _ in range(TICKS):
-        diagnostics.tick()
-    participant.until(lambda: found)
-    (status,) = found
+
+    def reported():
+        for _ in range(TICKS):
+            diagnostics.tick()
+        participant.until(lambda: found)
+        return found.pop()
+
+    before_ns, report = now_ns(), reported()
+    (status,) = report.status
     assert (status.level, status.message) == (DiagnosticStatus.ERROR, "coil burnt")
     assert (status.name, status.hardware_id) == ("line_3/reporter", "bench 7")
+    assert before_ns <= Time.from_msg(report.header.stamp).nanoseconds <= now_ns()
+    if simulated:
+        node.get_clock().set_ros_time_override(Time(seconds=7, clock_type=node.get_clock().clock_type))
+        assert reported().header.stamp.sec == 7
     node.destroy_node()
 
 
 RATE = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=2000.0)
 
 
-class LossyClient:
-    """Its first request is never answered; it is there after the first look."""
-
-    def __init__(self, node, name):
-        self.looks = self.asked = 0
-
-    def services_are_ready(self):
-        self.looks += 1
-        return self.looks > 1
-
-    def list_parameters(self, prefixes, depth):
-        self.asked += 1
-        future = Future()
-        if self.asked > 1:
-            future.set_result(ListParameters.Response(result=ListParametersResult(names=["stage.rate"])))
-        return future
-
-    def get_parameters(self, names):
-        future = Future()
-        future.set_result(GetParameters.Response(values=[RATE] * len(names)))
-        return future
+def done(result):
+    future = Future()
+    future.set_result(result)
+    return future
 
 
 def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch):
-    monkeypatch.setattr(graph_client, "AsyncParameterClient", LossyClient)
+    names = ListParameters.Response(result=ListParametersResult(names=["stage.rate"]))
+    client = Mock(**{"get_parameters.return_value": done(GetParameters.Response(values=[RATE]))})
+    # It is there after the first look, and its first request is never answered.
+    client.services_are_ready.side_effect = chain([False], repeat(True))
+    client.list_parameters.side_effect = chain([Future()], repeat(done(names)))
+    monkeypatch.setattr(graph_client, "AsyncParameterClient", Mock(return_value=client))
     processes, node = [], Mock()
     node.get_namespace.return_value, node.get_publishers_info_by_topic.return_value = "/line", processes
     remote = RemoteParameters(node, ["driver"])
@@ -284,7 +286,7 @@ def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(mon
     def asked():
         for _ in range(30):
             look()
-        return remote._clients["driver"].asked
+        return client.list_parameters.call_count
 
     assert asked() == 2 and remote.complete and remote.values == {"driver": {"stage.rate": 2000.0}}
     # Of a node that is started anew, another process is seen; that of another machine is none of ours.
@@ -325,7 +327,7 @@ def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_
     context = rclpy.Context()
     rclpy.init(context=context)
     other = Node(COMMISSIONING_CLIENT, context=context)
-    CommissioningSign(other).report("acceptance")
+    commissioning_sign(other)("acceptance")
     with WaitingClient(()) as client:
         # Without nodes there is nothing whose discovery would show that all others are discovered too.
         assert comes_true(lambda: client.commissioning.doing == "acceptance")
@@ -339,22 +341,6 @@ def test_a_client_is_refused_with_what_another_one_does_and_may_begin_when_that_
     # Nor is a client in its own way.
     with WaitingClient(()) as client:
         client.claim()
-
-
-def test_a_status_has_the_time_of_the_samples_unless_that_of_a_simulation_has_come(participant):
-    for simulated in (False, True):
-        node = Node("reporter", parameter_overrides=[Parameter("use_sim_time", value=simulated)])
-        diagnostics, clock = Diagnostics(node, lambda: {SAMPLES: 0}), node.get_clock()
-        before_ns = now_ns()
-        diagnostics.tick()
-        sec, nanosec = diagnostics._stamp
-        assert before_ns <= sec * 10**9 + nanosec <= now_ns()
-        if simulated:
-            clock.set_ros_time_override(Time(seconds=7, clock_type=clock.clock_type))
-            for _ in range(TICKS):
-                diagnostics.tick()
-            assert diagnostics._stamp == (7, 0)
-        node.destroy_node()
 
 
 def test_a_live_view_that_switched_on_switches_off_when_it_is_closed_though_no_samples_came_meanwhile(monkeypatch):

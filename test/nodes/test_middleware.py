@@ -192,13 +192,6 @@ def test_where_reception_is_stamped_at_the_take_a_message_came_between_its_sendi
     assert take() == (b"data", {"source_timestamp": sent_ns, "received_timestamp": came_ns, "other": 7})
 
 
-def test_state_and_state_service_of_a_lifecycle_node_are_there(node):
-    assert inside_rclpy.lifecycle_state(node) == "unconfigured"
-    node.trigger_configure()
-    assert inside_rclpy.lifecycle_state(node) == "inactive"
-    assert inside_rclpy.state_service(node).srv_name.endswith("/change_state")
-
-
 def undocumented(tree):
     """What begins with an underscore, rclpy's C++ layer, and handles into that."""
     for node in ast.walk(tree):

@@ -151,23 +151,21 @@ def test_clients_that_are_slow_end_before_a_page_that_gets_news(server, said):
         assert watched.readline()
 
 
-def test_a_peak_of_one_sample_is_kept_and_what_is_not_finite_is_not():
-    series = Series(0.02, 1.0)
-    series.add([(k * MS, 50.0 if k == 7 else float("nan") if k == 8 else 1.0) for k in range(25)])
-    assert series.after(-1) == [[0, 0.0, 1.0, 50.0]]
-    assert series.after(0) == []
-
-
-def test_a_place_some_metres_along_the_guide_is_shown_to_a_micrometre():
-    series = Series(0.02, 1e3)
-    series.add([(k * MS, 2.345678 + k * 1e-6) for k in range(25)])
-    assert series.after(-1) == [[0, 0.0, 2345.678, 2345.697]]
-
-
-def test_the_least_value_of_a_slot_comes_first_under_a_negative_factor_too():
-    series = Series(0.02, -1e3)
-    series.add([(k * MS, k * 1e-3) for k in range(25)])
-    assert series.after(-1) == [[0, 0.0, -19.0, 0.0]]
+@pytest.mark.parametrize(
+    ("factor", "values", "slot"),
+    [
+        # A peak of one sample is kept, and what is not finite is not.
+        (1.0, [*[1.0] * 7, 50.0, float("nan"), *[1.0] * 16], [1.0, 50.0]),
+        # Some metres along the guide, to a micrometre.
+        (1e3, [2.345678 + k * 1e-6 for k in range(25)], [2345.678, 2345.697]),
+        # The least value comes first under a negative factor too.
+        (-1e3, [k * 1e-3 for k in range(25)], [-19.0, 0.0]),
+    ],
+)
+def test_a_slot_has_the_least_and_the_greatest_value_and_comes_once(factor, values, slot):
+    series = Series(0.02, factor)
+    series.add([(k * MS, value) for k, value in enumerate(values)])
+    assert series.after(-1) == [[0, 0.0, *slot]] and series.after(0) == []
 
 
 def test_a_source_that_starts_anew_is_sent_from_its_start():

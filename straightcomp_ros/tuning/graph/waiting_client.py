@@ -24,7 +24,7 @@ from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.middleware import own_profile
-from straightcomp_ros.runtime.safety_panel import GONE_AFTER_S, CommissioningSign
+from straightcomp_ros.runtime.safety_panel import GONE_AFTER_S, commissioning_sign
 from straightcomp_ros.tuning.commissioning import CommissioningError
 
 ANSWER_S = 20.0
@@ -93,7 +93,7 @@ class WaitingClient(GraphClient):
         if other.doing:
             raise CommissioningError(f"another client commissions the machine: {other.doing}")
         # Only now: a sign of this client would count as another's.
-        return CommissioningSign(self.node).report
+        return commissioning_sign(self.node)
 
     def values(self) -> dict[str, dict[str, Any]]:
         """All parameters of the nodes as they are now, by node and dotted name."""
