@@ -3,7 +3,7 @@
 import re
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -58,11 +58,10 @@ class FaultIncidents:
 
     def __init__(self, node: Node, number: int, recording: Callable[[], Path | None]) -> None:
         self._node, self._number, self._recording = node, number, recording
-        self._process: subprocess.Popen[bytes] | None = None
         self._due: tuple[float, str] | None = None
-        self._file, self._seen = Path(), ""
+        self._seen = ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
-        node.create_timer(0.5, self._pack_when_due)
+        node.create_timer(0.5, partial(next, self._work()))
 
     def _on_safety_state(self, status: DiagnosticStatus) -> None:
         fault = f"{status.name} {[one.value for one in status.values]}" if status.name else ""
@@ -70,36 +69,39 @@ class FaultIncidents:
             self._due = time.monotonic() + _AFTER_S, status.name
         self._seen = fault
 
-    def _pack_when_due(self) -> None:
-        if self._process is not None and self._process.poll() is not None:
-            if self._process.returncode:
-                self._node.get_logger().warning(f"the incident was not packed: exit code {self._process.returncode}")
-            else:
-                self._keep_newest()
-            self._process = None
-        bag = self._recording()
-        if self._due is None or time.monotonic() < self._due[0] or self._process is not None:
-            return
-        fault, self._due = self._due[1], None
-        if bag is None:
-            return
-        folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
-        self._file = file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
-        try:
-            folder.mkdir(exist_ok=True)
+    def _work(self) -> Iterator[None]:
+        """Pack incidents, one at a time; each ``yield`` waits for the timer."""
+        while True:
+            yield
+            bag, due = self._recording(), self._due
+            if due is None or time.monotonic() < due[0]:
+                continue
+            fault, self._due = due[1], None
+            if bag is None:
+                continue
+            folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
+            file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
             words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]
-            self._process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        except OSError as error:
-            self._node.get_logger().warning(f"the incident of {fault} was not packed: {error}")
-            return
-        self._node.get_logger().info(f"packing the incident of {fault}: {file}")
+            try:
+                folder.mkdir(exist_ok=True)
+                process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            except OSError as error:
+                self._node.get_logger().warning(f"the incident of {fault} was not packed: {error}")
+                continue
+            self._node.get_logger().info(f"packing the incident of {fault}: {file}")
+            while process.poll() is None:
+                yield
+            if process.returncode:
+                self._node.get_logger().warning(f"the incident was not packed: exit code {process.returncode}")
+            else:
+                self._keep_newest(file)
 
-    def _keep_newest(self) -> None:
+    def _keep_newest(self, file: Path) -> None:
         try:
             # The file just packed is the newest; what seems newer is from before the clock was set back.
             others = sorted(
-                set(self._file.parent.glob("*.zip")) - {self._file},
-                key=lambda one: (one.name < self._file.name, one.name),
+                set(file.parent.glob("*.zip")) - {file},
+                key=lambda one: (one.name < file.name, one.name),
                 reverse=True,
             )
             for old in others[self._number - 1 :]:

@@ -4,8 +4,6 @@ import os
 import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
-from itertools import islice
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -34,8 +32,8 @@ from straightcomp_ros.timing.realtime import realtime_limit
 
 _TICK_S, TICKS = 0.05, 20
 """A report takes a tick for each of its steps, and the next one begins after all ticks."""
-_AT_ONCE, _TIMES = 20, 3
-"""Values in a step, and number of such steps: the last takes what is left."""
+_AT_ONCE = 20
+"""Values that are written in one step."""
 _LOOK_S = 0.05
 """Interval at which the threads' waiting times for a CPU are read."""
 _PRIORITY = "realtime.priority"
@@ -59,80 +57,57 @@ class Diagnostics:
         hardware_id: str = "",
         description: str = "",
     ) -> None:
-        self._description = {DESCRIPTION: description} if description else {}
+        self._node, self._counters, self._parts = node, counters, parts
         self._hardware_id = hardware_id or platform.node()
-        self._levels = Levels()
-        self._node = node
+        self._levels, self._cpu_wait = Levels(), CpuWait()
         publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._publish = node.streams.sending(publisher) if isinstance(node, ManagedNode) else raw_publish(publisher)
         self._before = (time.monotonic(), 0, time.process_time())
-        self._limit = realtime_limit()
-        self._stamp = 0, 0
-        self._values: dict[str, object] = {}
-        self._items: Iterator[tuple[str, object]] = iter(())
-        self._message = bytearray()
-        """rclpy serialises such a message in one go, in 0.2 ms: longer than a period at 8 kHz."""
+        self._fixed = {**({DESCRIPTION: description} if description else {}), REALTIME_LIMIT: realtime_limit()}
         # rclpy takes 0.1 ms to look a parameter up.
         self._asked = bool(node.has_parameter(_PRIORITY) and node.get_parameter(_PRIORITY).value)
-        self._steps: list[Callable[[], object]] = [
-            partial(self._begin, counters),
-            *(partial(self._collect, part) for part in parts),
-            self._wait,
-            self._describe,
-            self._judge,
-            *[partial(self._append, _AT_ONCE)] * (_TIMES - 1),
-            partial(self._append, None),
-            lambda: self._publish(bytes(self._message)),
-        ]
-        assert len(self._steps) <= TICKS
-        self._step = 0
-        self._cpu_wait = CpuWait()
+        self._ticks = 0
         self._cpu_wait.take_us()
         node.create_timer(_LOOK_S, self._cpu_wait.look)
         node.create_timer(_TICK_S, self.tick)
 
     def tick(self) -> None:
         """Do the next step of a report."""
-        step, self._step = self._step, (self._step + 1) % TICKS
-        if step < len(self._steps):
-            self._steps[step]()
+        if self._ticks % TICKS == 0:
+            self._steps = self._report()
+        self._ticks += 1
+        next(self._steps, None)
 
-    def _begin(self, counters: Callable[[], Mapping[str, object]]) -> None:
-        clock, values = self._node.get_clock(), counters()
+    def _report(self) -> Iterator[None]:
+        """Publish a report; each ``yield`` waits for the next tick."""
+        clock, counters = self._node.get_clock(), self._counters()
         # By the clock of the samples, also after a step of the system's; with use_sim_time by /clock, once that comes.
         stamp_ns = (clock.ros_time_is_active and clock.now().nanoseconds) or now_ns()
-        self._stamp = divmod(stamp_ns, NANOSECONDS)
-        rate_hz, cores = self._rates(int(str(values[SAMPLES])))
-        self._values = {**values, RATE: f"{rate_hz:.1f}", CPU_CORES: f"{cores:.2f}"}
-
-    def _collect(self, part: Callable[[], Mapping[str, object]]) -> None:
-        self._values |= part()
-
-    def _wait(self) -> None:
-        self._values[CPU_WAIT] = f"{self._cpu_wait.take_us():.0f}"
-
-    def _describe(self) -> None:
-        self._values |= {
-            **self._description,
-            CPUS: ",".join(map(str, sorted(os.sched_getaffinity(0)))),
-            PROCESS: os.getpid(),
-            REALTIME_LIMIT: self._limit,
-            SCHEDULING: self._scheduling(),
-        }
-
-    def _judge(self) -> None:
-        level, words = self._levels.next(self._values)
+        rate_hz, cores = self._rates(int(str(counters[SAMPLES])))
+        values = {**counters, RATE: f"{rate_hz:.1f}", CPU_CORES: f"{cores:.2f}"}
+        for part in self._parts:
+            yield
+            values |= part()
+        yield
+        values[CPU_WAIT] = f"{self._cpu_wait.take_us():.0f}"
+        yield
+        cpus = ",".join(map(str, sorted(os.sched_getaffinity(0))))
+        values |= {**self._fixed, CPUS: cpus, PROCESS: os.getpid(), SCHEDULING: self._scheduling()}
+        yield
+        level, words = self._levels.next(values)
         name = self._node.get_fully_qualified_name().lstrip("/")
-        # A header with no frame, and one status.
-        self._message = bytearray(ENCAPSULATION)
-        append_aligned(self._message, *self._stamp, "", 1)
-        self._message.append(level)
-        append_aligned(self._message, name, words, self._hardware_id, len(self._values))
-        self._items = iter(self._values.items())
-
-    def _append(self, most: int | None) -> None:
-        for key, value in islice(self._items, most):
-            append_aligned(self._message, key, str(value))
+        # A header with no frame, and one status. rclpy serialises such a message in one go, in 0.2 ms: longer than a
+        # period at 8 kHz.
+        message = bytearray(ENCAPSULATION)
+        append_aligned(message, *divmod(stamp_ns, NANOSECONDS), "", 1)
+        message.append(level)
+        append_aligned(message, name, words, self._hardware_id, len(values))
+        for number, (key, value) in enumerate(values.items()):
+            if number % _AT_ONCE == 0:
+                yield
+            append_aligned(message, key, str(value))
+        yield
+        self._publish(bytes(message))
 
     def _scheduling(self) -> str:
         if os.sched_getscheduler(0) == os.SCHED_FIFO:

@@ -186,7 +186,8 @@ def test_an_incident_that_is_not_packed_costs_no_older_one(tmp_path, monkeypatch
     # There is no such bag.
     incidents = FaultIncidents(node, 1, lambda: tmp_path / "bag")
     incidents._on_safety_state(DiagnosticStatus(name="tripped"))
-    assert comes_true(lambda: incidents._pack_when_due() or log.warning.called, 120.0)
+    _, work = node.create_timer.call_args[0]
+    assert comes_true(lambda: work() or log.warning.called, 120.0)
     assert "was not packed" in log.warning.call_args[0][0] and older.exists()
 
 
@@ -199,18 +200,18 @@ def test_the_incident_just_packed_is_kept_whatever_the_clock_was_before(tmp_path
     names = [f"2{year}_01_01-00_00_00_x_jump.zip" for year in (100, 101, 102, 103)]
     for name in names:
         (folder / name).touch()
-    incidents = FaultIncidents(Mock(), number, lambda: tmp_path / "bag")
-    packed = []
+    incidents, packed = FaultIncidents(node := Mock(), number, lambda: tmp_path / "bag"), []
+    _, work = node.create_timer.call_args[0]
     for fault in ("tripped", "y_frozen", "z_fault"):
         incidents._on_safety_state(DiagnosticStatus(name=fault))
         packed.insert(0, f"{fault}.zip")
         expected = {*packed[:number], *sorted(names, reverse=True)[: max(0, number - len(packed))]}
 
         def kept(expected=expected):
-            incidents._pack_when_due()
+            work()
             return {one.name if one.name in names else one.name[20:] for one in folder.iterdir()} == expected
 
-        assert comes_true(lambda kept=kept: kept() and incidents._process is None, 120.0)
+        assert comes_true(kept, 120.0)
 
 
 def test_what_a_bag_keeps_of_publishers_that_differ_is_what_all_can_serve():
