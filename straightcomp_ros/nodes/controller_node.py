@@ -286,6 +286,5 @@ class ExcitationService:
 
 
 CONTROLLER = "controller", ControllerNodeParameters, ControllerComponent
-"""Name, parameters and component of the node."""
 main = partial(run_managed, [CONTROLLER])
 """Entry point of `ros2 run straightcomp_ros controller_node`."""

@@ -423,6 +423,5 @@ def stage_limits(parameters: DriverNodeParameters) -> StageLimits:
 
 
 DRIVER = "driver", DriverNodeParameters, DriverComponent
-"""Name, parameters and component of the node."""
 main = partial(run_managed, [DRIVER])
 """Entry point of `ros2 run straightcomp_ros driver_node`."""

@@ -144,6 +144,5 @@ class FeedforwardComponent:
 
 
 FEEDFORWARD = "feedforward", FeedforwardNodeParameters, FeedforwardComponent
-"""Name, parameters and component of the node."""
 main = partial(run_managed, [FEEDFORWARD])
 """Entry point of `ros2 run straightcomp_ros feedforward_node`."""

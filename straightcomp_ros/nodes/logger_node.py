@@ -340,6 +340,5 @@ def _pattern(name: str, text: str) -> re.Pattern[str]:
 
 
 LOGGER = "logger", LoggerNodeParameters, LoggerComponent
-"""Name, parameters and component of the node."""
 main = partial(run_managed, [LOGGER])
 """Entry point of `ros2 run straightcomp_ros logger_node`."""

@@ -412,7 +412,7 @@ class RemoteParameters:
         self._node = node
         self._clients = {name: AsyncParameterClient(node, name) for name in names}
         self._looks_left = dict.fromkeys(names, 0)
-        self._answered: dict[str, frozenset[bytes]] = {}
+        self._answered: dict[str, set[bytes]] = {}
         """Of each node that has answered, its processes at that time."""
         node.create_timer(_PARAMETERS_EVERY_S, self._look)
         node.create_subscription(ParameterEvent, _PARAMETER_EVENTS, self._on_event, qos_profile_parameter_events)
@@ -423,22 +423,20 @@ class RemoteParameters:
         self._looks_left = dict.fromkeys(self._clients, 0)
 
     def _look(self) -> None:
-        processes: dict[str, frozenset[bytes]] = {}
+        processes: dict[str, set[bytes]] = {name: set() for name in self._clients}
         for one in self._node.get_publishers_info_by_topic(_PARAMETER_EVENTS):
-            if one.node_namespace == self._node.get_namespace():
-                known = processes.get(one.node_name, frozenset())
-                processes[one.node_name] = known | {bytes(one.endpoint_gid)}
+            if one.node_namespace == self._node.get_namespace() and one.node_name in processes:
+                processes[one.node_name].add(bytes(one.endpoint_gid))
         for name, client in self._clients.items():
-            here = processes.get(name, frozenset())
-            if name in self._answered and here <= self._answered[name]:
+            if name in self._answered and processes[name] <= self._answered[name]:
                 continue
             self._answered.pop(name, None)
             self._looks_left[name] -= 1
             if self._looks_left[name] < 0 and client.services_are_ready():
                 self._looks_left[name] = _AGAIN_AFTER
-                self._collect(name, here, client)
+                self._collect(name, processes[name], client)
 
-    def _collect(self, node: str, processes: frozenset[bytes], client: AsyncParameterClient) -> None:
+    def _collect(self, node: str, processes: set[bytes], client: AsyncParameterClient) -> None:
         def listed(future: Future) -> None:
             names = list(future.result().result.names)
 

@@ -395,9 +395,8 @@ async def test_a_live_value_says_whether_no_samples_come_or_it_is_not_known(plai
 
     async def become(*qualities):
         names = [f"Live.{name}" for name in ("X", "SlidingVariable", "ErrorPeakToPeak", "Samples")]
-        while (found := [(await value(made, name))[1] for name in names]) != [*qualities]:
+        while [(await value(made, name))[1] for name in names] != [*qualities]:
             await asyncio.sleep(0.05)
-        return found
 
     # A gateway that has just started has shown nothing yet.
     await asyncio.wait_for(become("Good", unknown, unknown, "Good"), 60)

@@ -163,29 +163,25 @@ def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
     assert cpu_guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
 
 
-def test_guards_of_several_graphs_give_back_their_own_cpus_in_any_order(tmp_path, monkeypatch):
+def test_a_guard_changes_the_bits_of_its_own_cpus_in_a_mask_and_guards_give_back_theirs_in_any_order(
+    tmp_path, monkeypatch
+):
     mask = tmp_path / "mask"
     monkeypatch.setattr(cpu_guard, "_WORK_QUEUES", mask)
-    mask.write_text("f\n")
-    for cpus_and_before, then in ((({3},), "7"), (({2},), "3"), (({3}, "f"), "b"), (({2}, "7"), "f")):
-        cpu_guard._set_queues(*cpus_and_before)
-        assert mask.read_text() == then
-
-
-def test_a_mask_of_more_than_32_cpus_is_written_as_the_kernel_reads_it(tmp_path, monkeypatch):
-    """bitmap_parse of Linux takes 32 bits between two commas."""
-    mask = tmp_path / "mask"
-    monkeypatch.setattr(cpu_guard, "_WORK_QUEUES", mask)
-    mask.write_text("ff,ffffffff,ffffffff\n")
-    for cpus_and_before, then in (
+    few = (({3},), "7"), (({2},), "3"), (({3}, "f"), "b"), (({2}, "7"), "f")
+    # bitmap_parse of Linux takes 32 bits between two commas.
+    many = (
         (({63, 70},), "bf,7fffffff,ffffffff"),
         (({63, 70}, "ff,ffffffff,ffffffff"), "ff,ffffffff,ffffffff"),
         ((set(range(32, 72)),), "ffffffff"),
         (({32}, "1,00000000"), "1,ffffffff"),
         ((set(range(32)),), "1,00000000"),
-    ):
-        cpu_guard._set_queues(*cpus_and_before)
-        assert mask.read_text() == then
+    )
+    for before, steps in (("f\n", few), ("ff,ffffffff,ffffffff\n", many)):
+        mask.write_text(before)
+        for cpus_and_before, then in steps:
+            cpu_guard._set_queues(*cpus_and_before)
+            assert mask.read_text() == then
 
 
 def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
