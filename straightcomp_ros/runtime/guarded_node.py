@@ -13,7 +13,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from rclpy.clock import Clock
@@ -102,7 +101,12 @@ class GuardedNode(Node):
     one event at a time calls :meth:`SteadyTimers.call_one` between its cycles.
     """
 
-    _steady_timers: SteadyTimers | None = None
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self.own_timers: list[SteadyTimer] = []
+        """Those of this node alone, in the order in which they were made."""
+        self._steady_timers: SteadyTimers | None = None
+        self._offered: dict[str, Callable[[Any, Any], Any]] = {}
+        super().__init__(*arguments, **options)
 
     @property
     def steady_timers(self) -> SteadyTimers:
@@ -121,11 +125,6 @@ class GuardedNode(Node):
         timer = self.steady_timers.add(period, callback)
         self.own_timers.append(timer)
         return timer
-
-    @cached_property
-    def own_timers(self) -> list[SteadyTimer]:
-        """Those of this node alone, in the order in which they were made."""
-        return []
 
     def cancel_timers(self, first: int) -> None:
         """Cancel the node's own timers from number ``first`` on."""
@@ -165,10 +164,6 @@ class GuardedNode(Node):
                 return refusal(kind.Response(), refused.log(error))
 
         return super().create_service(kind, name, answer, *more, **options)
-
-    @cached_property
-    def _offered(self) -> dict[str, Callable[[Any, Any], Any]]:
-        return {}
 
     def offer(self, kind: Any, name: str, act: Callable[..., str], *refusals: type[Exception]) -> None:
         """A service that answers with ``success`` and ``message``, of the kind Trigger or SetBool.

@@ -41,7 +41,8 @@ def test_an_error_of_a_callback_drops_the_message_or_refuses_the_request_and_one
     for kind in ("subscription", "service"):
         monkeypatch.setattr(Node, f"create_{kind}", lambda self, kind, name, callback: reached.update({name: callback}))
     monkeypatch.setattr(GuardedNode, "get_logger", lambda self: SimpleNamespace(warning=warnings.append))
-    node = GuardedNode.__new__(GuardedNode)
+    monkeypatch.setattr(Node, "__init__", lambda self: None)
+    node = GuardedNode()
     node.create_subscription(object, "trip", failing(ValueError("n/a")))
     node.create_service(SetBool, "enable", failing(KeyError("n/a")))
     node.offer(Trigger, "stop", failing(Refused("nothing is going on")))

@@ -33,23 +33,19 @@ from straightcomp_ros.opcua.client import CycleFailed, connected
 
 SLOW = {
     # Few samples and long timeouts: a machine that is busy with other things stalls.
-    "stage.rate": 200,
-    "driver.simulated.command_timeout": 1.0,
+    "stage": {"rate": 200, "motion.stroke": 0.02, "motion.settle": 0.2, "motion.pause": 0.1},
     # At this rate no law holds the platform; what is tried here is the way of the commands.
-    "driver.watch.y_limit": 0.1,
-    "driver.watch.frozen_current": 100.0,
-    "controller.control.margins": "warn",
-    "stage.motion.stroke": 0.02,
-    "stage.motion.settle": 0.2,
-    "stage.motion.pause": 0.1,
-    **{f"{node}.realtime.priority": 0 for node in (*RECORDED, "opcua")},
+    "driver": {"simulated.command_timeout": 1.0, "watch.y_limit": 0.1, "watch.frozen_current": 100.0},
+    "controller": {"control.margins": "warn"},
 }
 
 
 @pytest.mark.live
 @pytest.mark.nightly
 def test_the_demonstration_runs_its_strokes_through_opc_ua_alone(tmp_path, capfd):
-    settings = [word for name, value in SLOW.items() for word in ("--set", f"{name}={value}")]
+    given = {f"{section}.{name}": value for section, chosen in SLOW.items() for name, value in chosen.items()}
+    given |= {f"{node}.realtime.priority": 0 for node in (*RECORDED, "opcua")}
+    settings = [word for name, value in given.items() for word in ("--set", f"{name}={value}")]
     code = main(["demo", "--opcua", "--strokes", "2", "--json", "-o", str(tmp_path), *settings])
     figures = json.loads(capfd.readouterr().out)
     # At so low a rate no law holds the platform; a busy computer is no failure without priority.
@@ -70,16 +66,12 @@ def machine(graph, tmp_path):
     users, advice, port = tmp_path / "users", tmp_path / "gantry.json", free_port()
     add_user(users, *OPERATOR, "operator")
     advice.write_text(json.dumps({"stage": "a", "as_of": "2026-05-01", "advice": [{"text": "worn", "remedy": "mend"}]}))
-    stage = {name: value for name, value in SLOW.items() if name.startswith("stage.")}
-    chosen = {
-        node: stage | {name[len(node) + 1 :]: value for name, value in SLOW.items() if name.startswith(f"{node}.")}
-        for node in IN_THE_LOOP
-    }
-    chosen["feedforward"]["stage.guide.file"] = str(survey)
-    (tmp_path / "parameters.yaml").write_text(as_parameter_file(chosen))
-    graph.start(COMPOSED, {}, tmp_path / "parameters.yaml")
     own = {"opcua.port": port, "opcua.users": str(users), "maintenance_file": str(advice)}
-    graph.start("opcua", {**own, **stage, "nodes": " ".join(IN_THE_LOOP)})
+    values = {**SLOW, "stage": {**SLOW["stage"], "guide.file": str(survey)}}
+    values["opcua"] = {**own, "nodes": " ".join(IN_THE_LOOP)}
+    (file := tmp_path / "parameters.yaml").write_text(as_parameter_file(values))
+    for process in (COMPOSED, "opcua"):
+        graph.start(process, {}, file)
     wait_for_line(graph, "opcua", "OPC UA at")
     return OpcuaParameters(port=port).endpoint, survey
 
