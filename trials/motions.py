@@ -252,17 +252,17 @@ def live(values: Any, plans: Sequence[Plan], folder: Path) -> tuple[list[float],
     from straightcomp_ros.cell.launcher import LaunchError
     from straightcomp_ros.runtime.graph_client import message_from_waypoints
     from straightcomp_ros.runtime.safety_panel import LATCHED, tripper
-    from straightcomp_ros.runtime.stage_state import StageState
+    from straightcomp_ros.runtime.stage_state import stage_state
     from trials.stand import Stand
 
     values = {**values, "driver": {**values["driver"], "blend": True}}
-    stage, states = node_parameters("driver", values).stage, [StageState()]
+    stage, states = node_parameters("driver", values).stage, [stage_state(DiagnosticStatus())]
     motion, period_ns = stage.motion, stage.period_ns
     strokes = Plan(stage, Trajectory(cycles(motion, STARTS)), 0, [])
     plans = [strokes, *(in_lockstep(values, plan)[0] for plan in plans)]
     with Stand(folder, values, composed=True) as stand:
         stand.node.create_subscription(
-            DiagnosticStatus, STAGE_STATE, lambda message: states.append(StageState.of(message)), LATCHED
+            DiagnosticStatus, STAGE_STATE, lambda message: states.append(stage_state(message)), LATCHED
         )
         trip = tripper(stand.node)
 

@@ -128,7 +128,7 @@ class StageMovements:
         self._duration_ns, self._goal, _ = waypoints[-1]
         self._begin_ns, self._stands_ns, self._begun_by = seen.stamp_ns, 0, now + _ARRIVE_WITHIN_S
         # Numbers of the motion before, and of this one once the driver has begun it.
-        self._before, self._own, self._under_way = seen.motion, None, True
+        self._before, self._own, self._under_way = seen.stage.number, None, True
         return waypoints
 
     def progress(self, seen: Observation) -> float:
@@ -136,7 +136,7 @@ class StageMovements:
         if not self._under_way:
             return 0.0
         # In lockstep there is no sample before the movement.
-        return (seen.stamp_ns - seen.behind_ns - (self._begin_ns or seen.first_ns)) / max(self._duration_ns, 1)
+        return (seen.stamp_ns - seen.stage.behind_ns - (self._begin_ns or seen.first_ns)) / max(self._duration_ns, 1)
 
     def arrived(self, seen: Observation, now: float) -> bool:
         """Whether no movement is running; counts one that has just ended. One that is held is running.
@@ -146,23 +146,23 @@ class StageMovements:
         """
         if not self._under_way:
             return True
-        if self._own is None and seen.motion != self._before:
-            self._own = seen.motion
+        if self._own is None and seen.stage.number != self._before:
+            self._own = seen.stage.number
         if self.waits:
             if now > self._begun_by:
                 raise WorkFailed("the driver did not begin the motion of the stage; its log says why")
             return False
-        if seen.motion != self._own:
+        if seen.stage.number != self._own:
             self._fail("another client has begun a motion of the stage")
-        if seen.ended:
+        if seen.stage.ended:
             self._fail(f"another client has ended the motion of the stage, which stands at {seen.x:.6f} m")
-        delayed = seen.behind_ns or seen.stage in ("stopping", "held")
+        delayed = seen.stage.behind_ns or seen.stage.condition in ("stopping", "held")
         over = not delayed and self.progress(seen) > _ARRIVED_SHARE
         if over and abs(seen.x - self._goal) < _ARRIVED_M and (seen.still or self.as_one):
             self.forget()
             self._number += 1
             self.strokes_done = self.strokes if self.as_one else self._number // len(self._goals)
-        elif seen.stage == "rest" and seen.still:
+        elif seen.at_rest:
             # In time of the samples: on a busy computer the last ones come long after the report of the end.
             self._stands_ns = self._stands_ns or seen.stamp_ns
             if seen.stamp_ns > self._stands_ns + _ARRIVE_WITHIN_S * _NS:
@@ -260,7 +260,7 @@ class CellSequence:
         elif order is Order.OVERRIDE:
             self.machine.override(argument * 1e-2, answered)
         elif order is Order.JOG:
-            self._jog = _Jog(self.seen.motion, self.clock() + _REPORTED_WITHIN_S, answered)
+            self._jog = _Jog(self.seen.stage.number, self.clock() + _REPORTED_WITHIN_S, answered)
             self.machine.move(jog(self.motion, self.seen.x, argument * 1e-6))
         else:
             # No stroke may begin before the answer.
@@ -276,7 +276,7 @@ class CellSequence:
         if order is Order.JOG:
             if self.state is not State.EXECUTE or strokes:
                 return "Jog is not accepted while strokes are run, or without them; accepted in Execute with 0 strokes"
-            if self._jog or not self.seen.still or self.seen.stage != "rest":
+            if self._jog or not self.seen.at_rest:
                 return "Jog is not accepted while the stage moves"
             if self.centred or not 0 < abs(argument) <= _FARTHEST_JOG_UM:
                 return f"Jog by {argument} µm; allowed: 1 to {_FARTHEST_JOG_UM} either way, with the map's reference"
@@ -286,9 +286,9 @@ class CellSequence:
         """Continue with the graph as ``seen`` now."""
         self.now, self.seen = self.clock(), seen
         asked = self._jog
-        if asked and (seen.motion != asked.before or self.now > asked.until):
+        if asked and (seen.stage.number != asked.before or self.now > asked.until):
             self._jog = None
-            if late := seen.motion == asked.before:
+            if late := seen.stage.number == asked.before:
                 self.machine.request("driver/end_motion")
             asked.answered("the driver did not begin the jog; its log says why" if late else "")
         missing = seen.absence if seen.missing else ""
@@ -362,7 +362,7 @@ class CellSequence:
                 waits_for, self.message = obstacle, f"waits: {obstacle}" if obstacle else ""
             if obstacle:
                 ready_since = self.now
-                moves = self.seen.fresh and (self.seen.stage == "moving" or not self.seen.still)
+                moves = self.seen.fresh and (self.seen.stage.condition == "moving" or not self.seen.still)
                 # Until it stands again: from its index the stage goes to the start.
                 homes = moves and (homes or bool(self.seen.unreferenced))
                 if homes or (self.seen.starting and not self._overdue(_STARTED_WITHIN_S)):
@@ -420,7 +420,7 @@ class CellSequence:
     def _unholding(self) -> Iterator[None]:
         yield from self._asking(
             lambda: self.machine.request("driver/hold", False),
-            lambda: self.seen.stage not in ("stopping", "held") and self._overdue(_RECEIVED_S),
+            lambda: self.seen.stage.condition not in ("stopping", "held") and self._overdue(_RECEIVED_S),
             lambda: "the stage remains held",
         )
 
@@ -433,7 +433,7 @@ class CellSequence:
     def _stopping(self) -> Iterator[None]:
         self.movements.forget()
         # Without samples it cannot be seen that the stage stands.
-        while self.seen.fresh and not (self._overdue(_RECEIVED_S) and self.seen.stage == "rest" and self.seen.still):
+        while self.seen.fresh and not (self._overdue(_RECEIVED_S) and self.seen.at_rest):
             if self._due():
                 self.machine.request("driver/end_motion")
             yield

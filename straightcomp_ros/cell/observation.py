@@ -5,6 +5,8 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from straightcomp_ros.model.paced_motion import StageState
+
 ABSENT, STARTING, SILENT, PLAIN = "absent", "starting", "silent", "plain"
 """States of a node that reports no lifecycle state: it does not run, has not been active yet (it loads or compiles),
 does not answer, or has no lifecycle."""
@@ -35,11 +37,7 @@ class Observation:
     x: float = math.nan  # newest position of the stage in m; NaN before the first
     y: float = math.nan  # of the platform
     unreferenced: str = ""  # why x is not counted from its reference; empty if it is
-    motion: int = 0  # number of the stage's motion, as the driver counts those that it begins
-    ended: bool = False  # whether that was ended on its way
-    stage: str = "rest"  # of its motion as the driver reports it: rest, moving, stopping, held; empty while it does not
-    override: float = 1.0  # fraction of the speed of the stage's motions
-    behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest
+    stage: StageState = StageState()  # its motion; the condition is empty while the driver does not report it
     still: bool = True  # the stage has not moved for a tenth of a second, or a longer time where its strokes are slow
     error: float = math.nan  # newest compensation error in m
     sliding_variable: float = math.nan  # newest, m/s
@@ -88,16 +86,21 @@ class Observation:
         return f"the machine is being commissioned: {self.commissioning}" if self.commissioning else ""
 
     @property
+    def at_rest(self) -> bool:
+        """Whether the stage stands, and its motion has ended."""
+        return self.still and self.stage.condition == "rest"
+
+    @property
     def stands(self) -> bool:
         """Whether the stage stands and will not move by itself: it is held, or its motion has ended."""
-        return self.still and self.stage in ("rest", "held")
+        return self.still and self.stage.condition in ("rest", "held")
 
     @property
     def obstacle(self) -> str:
         """Why a cycle cannot start now; empty if it can."""
         unrecorded = f"not recorded: {', '.join(self.unrecorded)}" if self.unrecorded else ""
         # Another client's motion pauses.
-        motion = "" if self.still and self.stage != "moving" else "the stage moves"
+        motion = "" if self.still and self.stage.condition != "moving" else "the stage moves"
         return self.occupied or self.fault or self.absence or self.contradiction or unrecorded or motion
 
 

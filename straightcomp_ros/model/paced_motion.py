@@ -42,6 +42,17 @@ class Pace(NamedTuple):
     end: bool = False
 
 
+class StageState(NamedTuple):
+    """A motion of the stage as the driver reports it."""
+
+    condition: str = "rest"  # rest, moving, stopping or held; empty while no driver reports it
+    override: float = 1.0  # fraction of the speed of the stage's motions
+    behind_ns: int = 0  # time by which the motion is behind its trajectory, 0 at rest
+    cut: bool = False  # it is cut short: see PacedMotion
+    number: int = 0  # motions that the driver has begun
+    ended: bool = False  # the last one was ended on its way
+
+
 class PacedMotion:
     """A stage at rest at ``x`` (m) that takes trajectories; times in ns are of one clock and do not go back. ``count``
     (m) is that of the encoder of x, at whose readings trajectories begin.
@@ -154,6 +165,11 @@ class PacedMotion:
     def lasts(self, period_ns: int) -> bool:
         """Whether the trajectory has not ended after another ``period_ns``."""
         return self._path_ns + self._u * period_ns < self._trajectory.end_ns
+
+    def state(self, period_ns: int = 0) -> StageState:
+        """The state now; at rest if the motion ends within ``period_ns``, in which lockstep takes no sample."""
+        condition, behind_ns = (self.condition, self.behind_ns) if self.lasts(period_ns) else ("rest", 0)
+        return StageState(condition, self.pace.override, behind_ns, self.cut, self.number, self.ended)
 
     @property
     def moving(self) -> bool:

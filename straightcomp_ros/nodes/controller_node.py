@@ -24,7 +24,7 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import LATCHED, tripper
-from straightcomp_ros.runtime.stage_state import StageState
+from straightcomp_ros.runtime.stage_state import stage_state
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch
 from straightcomp_ros.timing.delays import StampGaps
@@ -39,7 +39,7 @@ Answer = tuple[int, Command, float]
 
 
 def _mark_cut(learning: Learning, message: DiagnosticStatus) -> None:
-    learning.cut = StageState.of(message).cut
+    learning.cut = stage_state(message).cut
 
 
 class ControllerComponent:

@@ -25,7 +25,7 @@ from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import StageLimits, Trajectory
-from straightcomp_ros.model.paced_motion import Pace
+from straightcomp_ros.model.paced_motion import Pace, StageState
 from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.commands import CommandIntake, Lockstep
@@ -35,7 +35,7 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.runner import run_managed
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyPanel
-from straightcomp_ros.runtime.stage_state import StageState
+from straightcomp_ros.runtime.stage_state import stage_status
 from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.runtime.trajectory_action import TrajectoryAction, read_by_stamp
 from straightcomp_ros.safety.faults import Fault
@@ -295,10 +295,10 @@ class DriverComponent:
 
     def _report_stage(self) -> None:
         """Publish the state of the stage's motion if it has changed."""
-        state = StageState.of_motion(self._hardware.motion, self._period_ns if self._lockstep else 0)
+        state = self._hardware.motion.state(self._period_ns if self._lockstep else 0)
         if state != self._reported_stage:
             self._reported_stage = state
-            self._stage_state.publish(state.message(self._node.get_fully_qualified_name()))
+            self._stage_state.publish(stage_status(state, self._node.get_fully_qualified_name()))
 
     def _ask_pace(self, **changes: Any) -> None:
         """Ask for another pace of the stage; HardwareError if it takes no commands."""

@@ -99,9 +99,9 @@ _STATUS = {
     "StageState": Value(
         T.String,
         "Motion of the stage: rest, moving (pauses too), stopping, held; empty while no driver reports it",
-        lambda s: s.seen.stage,
+        lambda s: s.seen.stage.condition,
     ),
-    "Override": Value(T.Double, "Speed of the stage's motions in % of theirs", lambda s: 100.0 * s.seen.override),
+    "Override": Value(T.Double, "Speed of the stage's motions in % of theirs", lambda s: 100.0 * s.seen.stage.override),
     "FaultCode": Value(T.UInt32, "Number of the latched fault (docs/safety.md); 0: none", lambda s: s.seen.fault_code),
     "AmplifierOn": Value(T.Boolean, "Amplifier of the platform", lambda s: s.seen.amplifier_on),
 }

@@ -46,9 +46,10 @@ from straightcomp_ros.contract import (
 )
 from straightcomp_ros.messages.cdr import NANOSECONDS
 from straightcomp_ros.model.motion import Waypoint
+from straightcomp_ros.model.paced_motion import StageState
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
 from straightcomp_ros.runtime.safety_panel import LATCHED, CommissioningWatch, SafetyState
-from straightcomp_ros.runtime.stage_state import StageState
+from straightcomp_ros.runtime.stage_state import stage_state
 from straightcomp_ros.runtime.streams import Streams
 from straightcomp_ros.safety.faults import one_line
 from straightcomp_ros.stage.description import StageParameters
@@ -320,11 +321,7 @@ class GraphClient:
             commissioning=self.commissioning.doing or ("excitation" if controller.get(EXCITATION) == EXCITING else ""),
             amplifier_on=fresh and self.safety.amplifier_on,
             unreferenced=reports.get(_DRIVER, {}).get(UNREFERENCED, ""),
-            motion=self.stage.number,
-            ended=self.stage.ended,
-            stage=self.stage.condition if reporting else "",
-            override=self.stage.override,
-            behind_ns=self.stage.behind_ns,
+            stage=self.stage if reporting else self.stage._replace(condition=""),
             still=self._strokes.still,
             stroke_error_pp=self._strokes.last_pp,
             samples=count(controller, SAMPLES),
@@ -355,7 +352,7 @@ class GraphClient:
                 )
 
     def _on_stage_state(self, message: DiagnosticStatus) -> None:
-        self.stage = StageState.of(message)
+        self.stage = stage_state(message)
 
     def _look(self) -> None:
         here = self.node.get_namespace()

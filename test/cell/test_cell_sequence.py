@@ -12,7 +12,7 @@ from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back, jog
-from straightcomp_ros.model.paced_motion import PacedMotion
+from straightcomp_ros.model.paced_motion import PacedMotion, StageState
 from straightcomp_ros.parameters.declaration import ParameterError
 
 MOTION = MotionParameters(stroke=0.1, settle=0.2, pause=0.1)
@@ -87,9 +87,8 @@ class Bench:
     def tick(self):
         self.now += TICK_S
         now_ns = round(self.now * 1e9)
-        x, motion = self.motion.position(now_ns), self.motion
-        self.see(stamp_ns=now_ns, x=x, still=abs(x - self.seen.x) < 5e-5, stage=motion.condition)
-        self.see(behind_ns=motion.behind_ns, override=motion.pace.override, motion=motion.number, ended=motion.ended)
+        x = self.motion.position(now_ns)
+        self.see(stamp_ns=now_ns, x=x, still=abs(x - self.seen.x) < 5e-5, stage=self.motion.state())
         self.sequence.tick(self.seen)
 
     def ticks(self, count):
@@ -161,7 +160,7 @@ def test_hold_rests_in_mid_movement_with_the_amplifier_on_and_unhold_goes_on_wit
     bench.ticks(12)
     way = bench.give(Command.HOLD, State.HELD)
     assert way == [State.HOLDING, State.HELD] and len(bench.moves) == 1
-    assert 0.005 < bench.seen.x < 0.095 and bench.seen.amplifier_on and bench.seen.stage == "held"
+    assert 0.005 < bench.seen.x < 0.095 and bench.seen.amplifier_on and bench.seen.stage.condition == "held"
     stands = bench.seen.x
     bench.ticks(400)
     assert bench.seen.x == stands and bench.sequence.state is State.HELD
@@ -176,7 +175,7 @@ def test_stop_and_abort_end_the_movement_where_it_can_rest_or_leave_it_and_the_n
         bench.ticks(12)
         assert not bench.sequence.command(command)
         bench.until(state)
-        assert (bench.seen.stage == "rest") is stands and not bench.seen.amplifier_on
+        assert (bench.seen.stage.condition == "rest") is stands and not bench.seen.amplifier_on
         if stands:
             assert 0.005 < bench.seen.x < 0.095
             bench.idle()
@@ -269,7 +268,7 @@ def test_a_stage_that_homes_for_longer_than_the_start_timeout_is_awaited_until_i
     # At its index; from there it goes to the start.
     bench.see(unreferenced="")
     bench.ticks(140)
-    assert bench.sequence.state is State.RESETTING and bench.seen.stage == "moving"
+    assert bench.sequence.state is State.RESETTING and bench.seen.stage.condition == "moving"
     assert bench.until(State.IDLE) == [State.RESETTING, State.IDLE]
 
 
@@ -417,7 +416,7 @@ def test_in_lockstep_the_cycle_ends_though_no_sample_comes_before_the_motion_or_
         bench.now += TICK_S
         if lasts_ns:
             samples.append(min(len(samples) * 50_000_000, lasts_ns[0] - 500_000))
-            bench.see(stamp_ns=first_ns + samples[-1], first_ns=first_ns, still=False, motion=1)
+            bench.see(stamp_ns=first_ns + samples[-1], first_ns=first_ns, still=False, stage=StageState(number=1))
         bench.sequence.tick(bench.seen)
 
     bench.tick, bench.move = lockstep, lambda waypoints: lasts_ns.append(waypoints[-1].time_ns)

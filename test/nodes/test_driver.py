@@ -17,7 +17,7 @@ from straightcomp_ros.contract import COMMAND, DRIVER_STATE, STAGE_STATE
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, jog
 from straightcomp_ros.runtime.safety_panel import LATCHED
-from straightcomp_ros.runtime.stage_state import StageState
+from straightcomp_ros.runtime.stage_state import stage_state
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import Fault
 
@@ -132,7 +132,7 @@ def test_no_client_fills_the_log_with_what_is_refused_or_changes_nothing(peer, s
 def test_a_motion_is_held_slowed_down_let_go_on_and_ended_with_the_amplifier_on(peer):
     peer.switch_on()
     states = []
-    peer.node.create_subscription(DiagnosticStatus, STAGE_STATE, lambda one: states.append(StageState.of(one)), LATCHED)
+    peer.node.create_subscription(DiagnosticStatus, STAGE_STATE, lambda one: states.append(stage_state(one)), LATCHED)
 
     def stands():
         seen = len(peer.samples)

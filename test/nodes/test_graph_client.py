@@ -28,13 +28,14 @@ from waiting import comes_true
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE, STAGE_STATE
 from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.model.paced_motion import StageState
 from straightcomp_ros.nodes import view_node
 from straightcomp_ros.runtime import graph_client
 from straightcomp_ros.runtime.graph_client import GraphClient, Heartbeats, RemoteParameters
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.node_diagnostics import TICKS, Diagnostics
 from straightcomp_ros.runtime.safety_panel import LATCHED, SafetyState, commissioning_sign, safety_status
-from straightcomp_ros.runtime.stage_state import StageState
+from straightcomp_ros.runtime.stage_state import stage_status
 from straightcomp_ros.runtime.streams import StreamPublisher
 from straightcomp_ros.safety.faults import LONGEST_REASON, Fault
 from straightcomp_ros.safety.state_machine import Latched
@@ -63,7 +64,7 @@ class Driver:
         self._safety.publish(safety_status(condition, fault, "driver"))
 
     def move(self, number):
-        self._stage.publish(StageState("moving", number=number).message("driver"))
+        self._stage.publish(stage_status(StageState("moving", number=number), "driver"))
 
     def sample(self):
         self._state(time.time_ns(), 0.0, 0.0, 0.0, float(self.condition is not State.ON))
@@ -133,11 +134,11 @@ def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_fr
 def test_a_driver_that_does_not_report_says_nothing_of_the_stage_and_has_begun_no_other_motion(seen):
     driver, until = seen
     driver.move(7)
-    until(lambda seen: (seen.stage, seen.motion) == ("moving", 7))
+    until(lambda seen: seen.stage == StageState("moving", number=7))
     for state in ("absent", "starting", "silent"):
         gone = until(lambda seen: True, {**STATES, "driver": state})
-        assert (gone.stage, gone.motion) == ("", 7) and not gone.stands
-    assert until(lambda seen: True).stage == "moving"
+        assert gone.stage == StageState("", number=7) and not gone.stands
+    assert until(lambda seen: True).stage.condition == "moving"
 
 
 def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_graph_nor_kept(seen):

@@ -17,10 +17,10 @@ from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParam
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
+from straightcomp_ros.model.paced_motion import StageState
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.safety_panel import SafetyState
-from straightcomp_ros.runtime.stage_state import StageState
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.tuning.commissioning import CommissioningError
 from straightcomp_ros.tuning.commissioning import machine as commissioning_machine

@@ -17,12 +17,13 @@ from scripts import make_reference
 from straightcomp_ros import contract
 from straightcomp_ros.cli.main import make_parser
 from straightcomp_ros.hardware.interface import State
+from straightcomp_ros.model.paced_motion import StageState
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.graph_client import _SERVICES
 from straightcomp_ros.runtime.safety_panel import safety_status
-from straightcomp_ros.runtime.stage_state import StageState
+from straightcomp_ros.runtime.stage_state import stage_status
 from straightcomp_ros.stage.description import StageParameters
 from trials.__main__ import RIGS
 
@@ -195,7 +196,7 @@ def test_the_page_of_security_has_each_process_and_each_hidden_node():
 
 @pytest.mark.parametrize(
     ("constant", "message"),
-    [("SAFETY_STATE", safety_status(State.OFF, None, "")), ("STAGE_STATE", StageState().message(""))],
+    [("SAFETY_STATE", safety_status(State.OFF, None, "")), ("STAGE_STATE", stage_status(StageState(), ""))],
 )
 def test_the_reference_names_each_value_of_a_state(constant, message):
     described = make_reference._texts_below_constants(contract)[constant]
