@@ -43,7 +43,8 @@ def run(options: argparse.Namespace) -> int:
             raise CommandFailed(f"can.firmware with can.interface '{interface}': allowed: {allowed}", exit_code=2)
         if options.drift_ppm:
             raise CommandFailed("--drift-ppm with can.firmware: its clock is this computer's", exit_code=2)
-    return emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
+    emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
+    return 0
 
 
 def main() -> int:

@@ -4,6 +4,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 from straightcomp_ros.cell.stop_signals import noting_stop
@@ -97,16 +98,16 @@ def _schedule(driver: RealtimeParameters) -> None:
         print(f"dsp_emulator: {refusal}", file=sys.stderr)
 
 
-def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool], own_hub: bool) -> int:
+def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool], own_hub: bool) -> None:
     """Be the machine of the firmware core, which is a process of its own on the bus."""
     can, simulated, stage, guide = parameters.can, parameters.simulated, parameters.stage, parameters.guide()
     bus = str(Path(can.channel).absolute()) if can.interface == INTERFACE else can.channel
     arguments = program_arguments(can, simulated, stage, bus=bus, lead_ns=_LEAD_NS)
-    hub = Hub(can.channel) if own_hub else None
-    try:
+    with ExitStack() as closed:
+        hub = closed.enter_context(closing(Hub(can.channel))) if own_hub else None
         # The program inherits it.
         _schedule(parameters.realtime)
-        program = BoardProgram(can, arguments, simulated, stage, guide)
+        program = closed.enter_context(closing(BoardProgram(can, arguments, simulated, stage, guide)))
         said: tuple[str, ...] = ()
 
         def ended() -> bool:
@@ -115,17 +116,10 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
             return stopped()
 
         print("ready", flush=True)
-        try:
-            program.serve(ended, hub)
-        finally:
-            program.close()
-    finally:
-        if hub is not None:
-            hub.close()
-    return 0
+        program.serve(ended, hub)
 
 
-def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> int:
+def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> None:
     """Emulate the board until SIGINT, SIGTERM or SIGHUP, with ``own_hub`` the hub of the bus too; print ``ready`` when
     it samples.
 
@@ -135,12 +129,9 @@ def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = F
     """
     stopping = noting_stop()
     if parameters.can.firmware:
-        return _run_firmware(parameters, stopping, own_hub)
-    emulator = Emulator(parameters, drift, own_hub=own_hub)
-    _schedule(parameters.realtime)
-    print("ready", flush=True)
-    try:
+        _run_firmware(parameters, stopping, own_hub)
+        return
+    with closing(Emulator(parameters, drift, own_hub=own_hub)) as emulator:
+        _schedule(parameters.realtime)
+        print("ready", flush=True)
         emulator.loop.run(stopping, idle=lambda: None)
-    finally:
-        emulator.close()
-    return 0

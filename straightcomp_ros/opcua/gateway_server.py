@@ -236,9 +236,8 @@ def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
     clients trust the certificate that is there, and an administrator may have issued it."""
     certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
     host = socket.gethostname()
-    before = os.umask(0o077)
     try:
-        certificate.parent.mkdir(parents=True, exist_ok=True)
+        certificate.parent.mkdir(0o700, parents=True, exist_ok=True)
         made = not certificate.exists()
         if made and not key.exists():
             write_whole(key, dump_private_key_as_pem(generate_private_key()), private=True)
@@ -253,8 +252,6 @@ def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
     except (OSError, ValueError, TypeError) as error:
         # TypeError: the key is protected by a password.
         raise AdmissionError(f"certificates in {folder}: {error}") from error
-    finally:
-        os.umask(before)
     if not isinstance(private, RSAPrivateKey) or private.public_key() != own.public_key():
         raise AdmissionError(f"{key}: is not the RSA key of {certificate}; put the two files of one pair there")
     first, last, now = own.not_valid_before_utc, own.not_valid_after_utc, datetime.now(timezone.utc)

@@ -83,8 +83,9 @@ class Diagnostics:
         clock, counters = self._node.get_clock(), self._counters()
         # By the clock of the samples, also after a step of the system's; with use_sim_time by /clock, once that comes.
         stamp_ns = (clock.ros_time_is_active and clock.now().nanoseconds) or now_ns()
-        rate_hz, cores = self._rates(int(str(counters[SAMPLES])))
-        values = {**counters, RATE: f"{rate_hz:.1f}", CPU_CORES: f"{cores:.2f}"}
+        now = time.monotonic(), int(str(counters[SAMPLES])), time.process_time()
+        (seconds, samples, busy), self._before = (b - a for a, b in zip(self._before, now, strict=True)), now
+        values = {**counters, RATE: f"{samples / seconds:.1f}", CPU_CORES: f"{busy / seconds:.2f}"}
         for part in self._parts:
             yield
             values |= part()
@@ -113,9 +114,3 @@ class Diagnostics:
         if os.sched_getscheduler(0) == os.SCHED_FIFO:
             return f"FIFO {os.sched_getparam(0).sched_priority}"
         return REFUSED if self._asked else NORMAL
-
-    def _rates(self, samples: int) -> tuple[float, float]:
-        """Samples a second since the last call, and CPU cores that this process kept busy."""
-        now = time.monotonic(), samples, time.process_time()
-        (seconds, *counts), self._before = (b - a for a, b in zip(self._before, now, strict=True)), now
-        return counts[0] / seconds, counts[1] / seconds
