@@ -9,7 +9,7 @@ import pytest
 
 from straightcomp_ros.model import trajectory_goal as goals
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, cycles, forward_and_back, jog
-from straightcomp_ros.model.paced_motion import Pace, PacedMotion
+from straightcomp_ros.model.paced_motion import Pace, PacedMotion, StageState
 from straightcomp_ros.model.trajectory_goal import (
     GoalRefused,
     Outcome,
@@ -162,8 +162,12 @@ def test_what_the_stage_does_is_said_and_a_moving_stage_takes_no_other_motion():
     assert motion.condition == "stopping" and motion.cut
     motion.position(5 * 10**9)
     assert motion.condition == "held" and motion.behind_ns > 10**9
-    motion.ask(Pace())
+    assert motion.state(10**12) == StageState("held", 1.0, motion.behind_ns, cut=True, number=1, ended=False)
+    motion.ask(Pace(0.5))
     assert motion.condition == "moving" and motion.cut
+    motion.position(51 * 10**8)
+    # In lockstep no sample comes after the one whose period the motion ends in.
+    assert motion.state().condition == "moving" and motion.state(10**12) == StageState("rest", 0.5, 0, True, 1)
 
 
 STEP_NS = 50_000_000
