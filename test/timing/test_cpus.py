@@ -190,9 +190,9 @@ def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
     assert realtime.apply(RealtimeParameters(exclusive=True), reports.append) == []
     assert reports == [f"kept off {sorted(os.sched_getaffinity(0))}"]
     monkeypatch.undo()
-    # Without CPUs of its own it has all of them.
+    # Without CPUs of its own it has all of them, or those that another graph on this machine leaves to it.
     (refusal,) = realtime.apply(RealtimeParameters(exclusive=True), reports.append)
-    assert "there is no other CPU" in refusal and "realtime.cpus" in refusal
+    assert "other CPU" in refusal and "realtime.cpus" in refusal
 
 
 @pytest.fixture
