@@ -145,18 +145,23 @@ def _section(
     )
 
 
+def _turn(mains: HumParameters, number: int, period: float) -> complex:
+    """e^{jωT} with its leak, of oscillator ``number``, from 0."""
+    kept = math.exp(-2.0 * math.pi * _LEAK * mains.width * period)
+    return kept * cmath.exp(2j * math.pi * (number + 1) * mains.frequency * period)
+
+
 def filters_of(parameters: FilterParameters, period: float, gains: tuple[complex, ...] = ()) -> Filters:
-    """The filters, sampled; ``gains`` are those of the oscillators in A/m, as :func:`tuned_gains` finds them."""
+    """The filters, sampled; ``gains`` are those of the oscillators in A/m, as :func:`turned_gain` gives them."""
     notches = [
         _section(one.frequency, period, (1.0, one.depth * one.width), 0.5 * one.width, one.poles)
         for one in (parameters.first, parameters.second)
     ]
     roll_off = _section(parameters.roll_off.frequency, period, (0.0, 0.0), parameters.roll_off.damping)
-    mains, hums = parameters.mains, [_SILENT] * 3
-    kept = math.exp(-2.0 * math.pi * _LEAK * mains.width * period)
+    hums = [_SILENT] * 3
     for n, gain in enumerate(gains):
-        angle = 2.0 * math.pi * (n + 1) * mains.frequency * period
-        hums[n] = Oscillator(kept * math.cos(angle), kept * math.sin(angle), gain.real, gain.imag)
+        turn = _turn(parameters.mains, n, period)
+        hums[n] = Oscillator(turn.real, turn.imag, gain.real, gain.imag)
     active = any(one != _THROUGH for one in (*notches, roll_off)) or bool(gains)
     return Filters(float(active), notches[0], notches[1], roll_off, *hums)
 
@@ -169,12 +174,9 @@ def oscillators_of(parameters: FilterParameters, rate: float) -> int:
 
 def turned_gain(parameters: FilterParameters, number: int, period: float, tried: float, pole: complex) -> complex:
     """The gain of oscillator ``number``, from 0, given that a ``tried`` small one puts its ``pole`` there."""
-    mains = parameters.mains
-    kept = math.exp(-2.0 * math.pi * _LEAK * mains.width * period)
-    own = kept * cmath.exp(2j * math.pi * (number + 1) * mains.frequency * period)
     # To first order the pole moves by c g; it is to move straight inward.
-    moved = (pole / own - 1.0) / tried
-    return -2.0 * math.pi * mains.width * period / moved
+    moved = (pole / _turn(parameters.mains, number, period) - 1.0) / tried
+    return -2.0 * math.pi * parameters.mains.width * period / moved
 
 
 @compilable

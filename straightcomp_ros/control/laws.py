@@ -150,11 +150,9 @@ def make_law(parameters: ControlParameters, stage: StageParameters) -> Law:
     Raises:
         ValueError: the mains are to be taken out by a law without a linearisation, or where none does it.
     """
-    filters = filters_of(parameters.filters, stage.period)
-    count = oscillators_of(parameters.filters, stage.rate)
-    if not count or parameters.law == OPEN_LOOP:
-        return _law(parameters, stage, filters)
-    return _law(parameters, stage, filters_of(parameters.filters, stage.period, _hum_gains(parameters, stage, count)))
+    count = oscillators_of(parameters.filters, stage.rate) if parameters.law != OPEN_LOOP else 0
+    gains = _hum_gains(parameters, stage, count) if count else ()
+    return _law(parameters, stage, filters_of(parameters.filters, stage.period, gains))
 
 
 def _hum_gains(parameters: ControlParameters, stage: StageParameters, count: int) -> tuple[complex, ...]:

@@ -265,18 +265,16 @@ def _stable(plant: StateSpace, controller: StateSpace, gain: float = 1.0) -> boo
     return spectral_radius(closed_loop(plant, controller, gain)) < 1.0
 
 
-def loop_margins(
-    law: Law, stage: StageParameters, delay: float | None = None, *, with_current: bool = False
-) -> Margins:
-    """Margins of ``law`` on the plant of ``stage``, with commands ``delay`` s late: by default as described.
+def loop_margins(law: Law, stage: StageParameters, *, with_current: bool = False) -> Margins:
+    """Margins of ``law`` on the plant of ``stage``.
 
     ``with_current`` as of :func:`linearised`: the gain is then the amplifier's, otherwise just as well the force's.
 
     Raises:
         NotLinear: the law has no linearisation at rest.
     """
-    late, period = stage.delay if delay is None else delay, stage.period
-    plant, linear = sampled_plant(stage, late), linearised(law, with_current=with_current)
+    late, period = stage.delay, stage.period
+    plant, linear = sampled_plant(stage), linearised(law, with_current=with_current)
     poles = np.asarray(np.linalg.eigvals(closed_loop(plant, linear)), dtype=np.complex128)
     if not np.abs(poles).max() < 1.0:
         return Margins(poles, 1.0, 1.0, 0.0, 0.0)

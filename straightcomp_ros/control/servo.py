@@ -58,7 +58,8 @@ class Servo:
 
     A repeated sample gets the same answer again and changes nothing. While the amplifier is off the law is kept reset,
     so that nothing is integrated that cannot act. After a gap of more than :data:`RUN_GAP_NS` between two samples the
-    law starts anew. ``learning`` corrects the law's reference by what earlier strokes left.
+    law starts anew. ``learning`` corrects the law's reference by what earlier strokes left. ``running`` says whether
+    the newest sample found the amplifier on.
     """
 
     def __init__(self, law: Law, learning: Learning | None = None) -> None:
@@ -66,13 +67,8 @@ class Servo:
         self._learning = learning
         self._stamp_ns: int | None = None
         self._answer = AMPLIFIER_OFF
-        self._running = False
+        self.running = False
         self._injection: Injection | None = None
-
-    @property
-    def running(self) -> bool:
-        """Whether the newest sample found the amplifier on."""
-        return self._running
 
     def inject(self, injection: Injection) -> None:
         """Add a test signal to the commands from the next sample on, in place of one that is running."""
@@ -80,7 +76,7 @@ class Servo:
 
     def change(self, law: Law, samples: int) -> None:
         """Replace the law, by a crossfade of ``samples`` while one acts, otherwise at once."""
-        self._law = Crossfade(self._law, law, samples, self._end_fade) if self._running else law
+        self._law = Crossfade(self._law, law, samples, self._end_fade) if self.running else law
 
     def _end_fade(self, fade: Crossfade) -> None:
         # After another change this fade is the old law of a newer one, and stays it.
@@ -107,12 +103,12 @@ class Servo:
         if self._injection is not None and (gap or not amplifier_on):
             self._injection.stop("the amplifier was off, or samples were missing")
             self._injection = None
-        if self._learning is not None and (gap or not (self._running and amplifier_on)):
+        if self._learning is not None and (gap or not (self.running and amplifier_on)):
             self._learning.interrupt()
         if not amplifier_on:
             self._answer = AMPLIFIER_OFF._replace(error=r - y)
         else:
-            if gap or not self._running:
+            if gap or not self.running:
                 self._law.reset(y)
             if self._injection is not None and not self._injection.finished:
                 self._law.excited()
@@ -123,5 +119,5 @@ class Servo:
                 self._answer = self._law.step(y, r_law, r_dot, r_ddot, coil_current)._replace(error=r - y)
             if self._injection is not None:
                 self._answer = self._answer._replace(current=self._injection.step(self._answer.current, r - y))
-        self._running = amplifier_on
+        self.running = amplifier_on
         return self._answer

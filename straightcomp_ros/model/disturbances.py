@@ -120,10 +120,10 @@ class Disturbances:
     @property
     def any(self) -> bool:
         """Whether anything disturbs."""
-        given, none = self.parameters, DisturbanceParameters()
-        amplitudes = (given.mains.force, given.mains.second, given.mains.third, given.cogging.force, given.tilt)
-        others = (given.cable.slope, given.cable.drag, given.drift.current, given.vibration.acceleration)
-        return given != none and (any((*amplitudes, *others, given.interpolation.amplitude)) or bool(self.table[0]))
+        d = self.parameters
+        forces = (d.mains.force, d.mains.second, d.mains.third, d.cogging.force, d.cable.slope, d.cable.drag, d.tilt)
+        others = (d.drift.current, d.vibration.acceleration, d.interpolation.amplitude)
+        return any((*forces, *others, self.table[0]))
 
     def constants(self) -> tuple[float, ...]:
         """What the plant's constants have from :data:`DISTURBANCES` on: the table stands last."""

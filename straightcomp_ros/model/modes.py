@@ -108,11 +108,6 @@ def off(mode: ModeParameters, frequency: float, damping: float, participation: f
     )
 
 
-def modes_of(*modes: ModeParameters) -> ModesParameters:
-    """The set of at most two modes."""
-    return replace(ModesParameters(), **dict(zip(("first", "second"), modes, strict=False)))
-
-
 class Turn(NamedTuple):
     """q and q̇ after a time from those before: the free motion, exact."""
 

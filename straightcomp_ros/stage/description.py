@@ -18,7 +18,7 @@ from straightcomp_ros.model.actuator import ActuatorParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import DisturbanceParameters
 from straightcomp_ros.model.friction import DESCRIBED, ContactParameters, LuGreParameters
-from straightcomp_ros.model.modes import ModeParameters, TrueModesParameters, modes_of, off
+from straightcomp_ros.model.modes import ModeParameters, ModesParameters, TrueModesParameters, off
 from straightcomp_ros.model.motion import MotionParameters, reach
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
@@ -202,7 +202,7 @@ class StageParameters:
 
     def with_modes(self, *modes: ModeParameters) -> "StageParameters":
         """The stage with these modes of its platform, at most two, in the place of its own."""
-        return dataclasses.replace(self, platform=dataclasses.replace(self.platform, modes=modes_of(*modes)))
+        return dataclasses.replace(self, platform=dataclasses.replace(self.platform, modes=ModesParameters(*modes)))
 
     @property
     def plant(self) -> PlantParameters:
@@ -282,7 +282,7 @@ def deviating(plant: PlantParameters, factors: Factors) -> PlantParameters:
             f"air gap × {factors.air_gap:.4g}: {gap:.4g} m does not hold the stop; "
             f"allowed: > {stop!r} m ('stage.platform.stop')"
         )
-    modes = modes_of(*(off(mode, *factors.modes) for mode in plant.platform.modes.present))
+    modes = ModesParameters(*(off(mode, *factors.modes) for mode in plant.platform.modes.present))
     platform = dataclasses.replace(plant.platform, mass=plant.platform.mass * factors.mass, modes=modes)
     # The area stands for turns² times area, the product in (2), and scales it exactly.
     actuator = _scaled(_scaled(plant.actuator, factors.force, "pole_area"), factors.air_gap, "air_gap")

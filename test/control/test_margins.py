@@ -26,8 +26,17 @@ from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
-STAGE = from_mapping(StageParameters, {"drive.delay": 0.5})
-PERIOD, DELAY = 5e-4, 2.5e-4
+
+def on(**facts):
+    return from_mapping(StageParameters, facts)
+
+
+def late(samples):
+    return on(**{"drive.delay": samples})
+
+
+USUAL, STAGE = StageParameters(), late(0.5)
+PERIOD = 5e-4
 
 
 def law(name, **parameters):
@@ -46,15 +55,16 @@ def test_fast_sampling_without_lag_gives_the_continuous_poles_of_the_design():
 @pytest.mark.parametrize("name", ["linear", "smc", "smc_observer"])
 def test_beyond_its_margins_the_loop_is_unstable(name):
     margins = loop_margins(law(name), STAGE)
-    plant, controller = sampled_plant(STAGE, DELAY), linearised(law(name))
+    plant, controller = sampled_plant(STAGE), linearised(law(name))
 
     def largest(degrees):
         ways = (np.exp(1j * np.radians(sign * degrees)) for sign in (1.0, -1.0))
         return max(abs(np.linalg.eigvals(closed_loop(plant, controller, way))).max() for way in ways)
 
     assert largest(0.97 * margins.phase) < 1.0 < largest(1.03 * margins.phase)
-    in_time, late = (loop_margins(law(name), STAGE, factor * margins.longest_delay).poles for factor in (0.99, 1.01))
-    assert max(abs(in_time)) < 1.0 < max(abs(late))
+    stages = (late(factor * margins.longest_delay / PERIOD) for factor in (0.99, 1.01))
+    in_time, too_late = (loop_margins(law(name), stage).poles for stage in stages)
+    assert max(abs(in_time)) < 1.0 < max(abs(too_late))
 
 
 def test_a_loop_that_is_unstable_has_no_margins():
@@ -77,15 +87,15 @@ def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
 
 
 def test_while_the_amplifier_is_as_described_the_measured_current_does_not_change_what_force_is_endured():
-    made, delay = law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), PERIOD
+    made = law("smc_observer", smc_observer=ObserverDesign(delay=1.0))
     plain, measured = (linearised(made, with_current=measured) for measured in (False, True))
     for force in (0.7, 2.0):
-        plant = sampled_plant(STAGE, delay)
+        plant = sampled_plant(USUAL)
         # The position's part of the input and of the law's answer to it, not the current's.
         stronger = plant._replace(c=np.array([[force], [1.0]]) * plant.c)
         one, other = (np.abs(np.linalg.eigvals(closed_loop(stronger, linear))).max() for linear in (plain, measured))
         assert one == pytest.approx(other, abs=1e-6)
-    margins = [loop_margins(made, STAGE, delay, with_current=with_current).gain_high for with_current in (False, True)]
+    margins = [loop_margins(made, USUAL, with_current=with_current).gain_high for with_current in (False, True)]
     assert abs(margins[0] / margins[1] - 1.0) > 0.05
 
 
@@ -103,9 +113,9 @@ def test_a_law_with_a_dither_is_linear_on_any_stage_with_stiction(bristles):
 
 
 def test_knowing_the_delay_makes_the_observer_tolerate_it():
-    ignorant = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=0.0)), STAGE, PERIOD)
-    knowing = loop_margins(law("smc_observer", smc_observer=ObserverDesign(delay=1.0)), STAGE, PERIOD)
-    assert knowing.phase > ignorant.phase + 5.0
+    observers = (law("smc_observer", smc_observer=ObserverDesign(delay=delay)) for delay in (0.0, 1.0))
+    ignorant, knowing = (loop_margins(one, USUAL).phase for one in observers)
+    assert knowing > ignorant + 5.0
 
 
 @pytest.mark.parametrize("delay", [0.0, 2.5e-4, 5e-4, 7.5e-4, 1e-3])
@@ -128,13 +138,6 @@ def test_the_border_of_stability_is_the_one_next_to_the_stable_value():
     assert last_stable(lambda value: not 0.75 < value < 1.5, 0.0, 99.0) == pytest.approx(0.75, abs=1e-9)
     assert last_stable(lambda value: value < 98.25, 0.0, 99.0) == pytest.approx(98.25, abs=1e-9)
     assert last_stable(lambda value: True, 0.0, 99.0) == 99.0
-
-
-USUAL = StageParameters()
-
-
-def on(**facts):
-    return from_mapping(StageParameters, facts)
 
 
 @pytest.mark.parametrize(
@@ -202,5 +205,5 @@ def test_a_law_with_a_friction_model_must_be_stable_at_its_stiffest_too():
     stiff = states_of(control, USUAL)["stiff"]
     assert stiff.smc_observer.bandwidth == pytest.approx(4.0 * control.smc_observer.bandwidth)
     assert ", at its stiffest," in missing_margin(control, USUAL)
-    plant, law = sampled_plant(USUAL, USUAL.period), linearised(make_law(stiff, USUAL))
+    plant, law = sampled_plant(USUAL), linearised(make_law(stiff, USUAL))
     assert max(np.abs(np.linalg.eigvals(closed_loop(plant, law, gain))).max() for gain in (0.9, 1.1)) >= 1.0

@@ -19,7 +19,7 @@ from straightcomp_ros.model.disturbances import (
     locked_force,
 )
 from straightcomp_ros.model.friction import LuGreParameters
-from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, at_encoder, modes_of
+from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, ModesParameters, at_encoder
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters, advance, plant_state
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 
@@ -102,7 +102,7 @@ def test_a_platform_rings_as_its_modes_say():
     free = LuGreParameters(coulomb=1e-12, static=1e-12, bristle_stiffness=1e-3, bristle_damping=0.0, viscous=0.0)
     modes = (ModeParameters(180.0, 0.01, 0.5, -2.0), ModeParameters(600.0, 0.02, 0.3, 0.3))
     plant = PlantParameters(
-        PlatformParameters(modes=modes_of(*modes)), friction=free, encoder=EncoderParameters(y_resolution=1e-12)
+        PlatformParameters(modes=ModesParameters(*modes)), friction=free, encoder=EncoderParameters(y_resolution=1e-12)
     )
     k, impulse = plant.constants(), 1e-5
     state = plant_state(velocity=impulse)
@@ -117,7 +117,7 @@ def test_a_platform_rings_as_its_modes_say():
 def test_a_force_bends_a_mode_by_its_participation():
     mode = ModeParameters(200.0, 0.5, 0.5, -2.0)
     tilted = replace(DisturbanceParameters(), tilt=0.01).machine()
-    plant = PlantParameters(PlatformParameters(modes=modes_of(mode)), disturbances=tilted)
+    plant = PlantParameters(PlatformParameters(modes=ModesParameters(mode)), disturbances=tilted)
     k, state = plant.constants(), plant_state()
     aim(k, state, MASS, 0.0, 0.0)
     advance(k, state, 0.0, 0.0, 100_000_000)

@@ -20,7 +20,7 @@ from straightcomp_ros.model.actuator import (
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import OFFSET, DisturbanceParameters, DriftParameters
 from straightcomp_ros.model.friction import LuGre, LuGreParameters
-from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, at_coil, modes_of
+from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, ModesParameters, at_coil
 from straightcomp_ros.model.plant import (
     BIAS,
     COMMAND,
@@ -108,7 +108,7 @@ def test_the_platform_stays_between_its_stops(side):
 
 
 def test_the_coils_stay_between_the_stops_where_a_mode_would_carry_them_beyond():
-    modes = modes_of(ModeParameters(72.0, 0.008, 0.5, -0.5))
+    modes = ModesParameters(ModeParameters(72.0, 0.008, 0.5, -0.5))
     plant = PlantParameters(PlatformParameters(modes=modes), friction=NO_FRICTION)
     constants, state, farthest = plant.constants(), plant_state(bias=1.0), 0.0
     for sample in range(4000):
@@ -224,14 +224,14 @@ def test_a_platform_stuck_on_very_stiff_bristles_swings_at_its_own_rate():
 
 
 def test_a_platform_whose_modes_let_the_coils_yield_far_comes_to_rest_on_its_bristles():
-    platform = PlatformParameters(mass=0.1, modes=modes_of(ModeParameters(300.0, 0.01, 5.0, 1.0)))
+    platform = PlatformParameters(mass=0.1, modes=ModesParameters(ModeParameters(300.0, 0.01, 5.0, 1.0)))
     state = plant_state(velocity=1e-6)
     advance(PlantParameters(platform).constants(), state, 0.0, 0.0, 30_000_000)
     assert abs(state[1]) < 0.1e-6
 
 
 def test_the_truth_has_the_rate_where_the_encoder_looks_and_all_that_the_coils_pull_with():
-    modes, drift = modes_of(ModeParameters(180.0, 0.01, 0.5, -2.0)), DriftParameters(current=0.05, time=1e6)
+    modes, drift = ModesParameters(ModeParameters(180.0, 0.01, 0.5, -2.0)), DriftParameters(current=0.05, time=1e6)
     off = replace(DisturbanceParameters(), drift=drift).machine()
     plant = PlantParameters(PlatformParameters(modes=modes), disturbances=off)
     shaken = commanded_plant(plant, HOLD, plant_state(y=2e-6))

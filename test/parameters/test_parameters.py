@@ -22,7 +22,6 @@ from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_pa
 from straightcomp_ros.parameters.parameter_file import (
     as_parameter_file,
     read_parameter_file,
-    read_stage_file,
     shipped_parameters,
 )
 from straightcomp_ros.parameters.share import share_path
@@ -276,8 +275,9 @@ def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tm
         "/**: {ros__parameters: {use_sim_time: true, stage.rate: 1000}}\n"
         "driver: {ros__parameters: {use_sim_time: true, qos_overrides: {/x: {depth: 1}}, can.dbc: ~/x.dbc}}\n"
     )
-    read = read_stage_file(path)
-    assert read["stage"] == {"rate": 1000} and read["driver"] == {"can.dbc": str(tmp_path / "home" / "x.dbc")}
+    assert read_parameter_file(path)["driver"] == {"can.dbc": "~/x.dbc"}
+    read = shipped_parameters(stage=str(path))
+    assert read["stage"] == {"rate": 1000} and read["driver"]["can.dbc"] == str(tmp_path / "home" / "x.dbc")
 
 
 @pytest.mark.parametrize(
@@ -292,6 +292,6 @@ def test_a_file_that_a_stage_file_names_is_that_in_its_folder_before_one_in_the_
     monkeypatch.chdir(tmp_path / "work")
     for file in (tmp_path / "named.csv", tmp_path / "work" / "named.csv"):
         file.write_text("0.2\n")
-    assert read_stage_file(path)[node][name] == str(tmp_path / "named.csv")
+    assert shipped_parameters(stage=str(path))[node][name] == str(tmp_path / "named.csv")
     (tmp_path / "named.csv").unlink()
-    assert read_stage_file(path)[node][name] == "named.csv"
+    assert shipped_parameters(stage=str(path))[node][name] == "named.csv"
