@@ -24,8 +24,6 @@ from straightcomp_ros.cli.results import rounded, titled_table
 
 SUMMARY = "measure the graph's timing, or the cost of its functions"
 PURPOSE = "judge"
-TOOL = "BENCH"
-"""Placeholder for a tool's name in the help text."""
 _SHORTEST_S, _LONGEST_S = 2.0, 86400.0
 _SIMULATIONS = 3
 _MOST_REPEATS = 10_000

@@ -198,7 +198,7 @@ def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | 
         command.add_arguments(parser)
         parser.set_defaults(run=command.run)
         return
-    tools = parser.add_subparsers(dest="tool", metavar=getattr(command, "TOOL", "TOOL"), required=True)
+    tools = parser.add_subparsers(dest="tool", metavar="TOOL", required=True)
     for tool, found in command.TOOLS.items():
         if words is None or tool in words[:1]:
             _add_command(tools, tool, found, words and words[1:])

@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import add_json, check_range
+from straightcomp_ros.cli.options import add_json, whole_number
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json, print_written
 from straightcomp_ros.opcua.admission import OPERATOR, ROLES, OpcuaParameters, add_user
 
@@ -45,7 +45,7 @@ def _cycle_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
     add("--user", required=True, metavar="NAME", help="one who may command")
-    add("--strokes", type=int, default=1, help="strokes forward and back (default: %(default)s)")
+    add("--strokes", type=whole_number(1), default=1, help="strokes forward and back (default: %(default)s)")
     add("--progress", action="store_true", help="print lines 'progress FRACTION'")
     add("--certificates", type=Path, metavar="DIR", help="folder of this client's certificate.der and key.pem: encrypt")
     add("--server-certificate", type=Path, metavar="FILE", help="the gateway's certificate.der, with --certificates")
@@ -54,7 +54,6 @@ def _cycle_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _cycle(options: argparse.Namespace) -> None:
     """Bring the machine up and run strokes through OPC UA alone, as a PLC does."""
-    check_range("--strokes", options.strokes, 1)
     _check_url(options.url)
     if (options.certificates is None) != (options.server_certificate is None):
         raise CommandFailed("--certificates and --server-certificate need each other", exit_code=2)

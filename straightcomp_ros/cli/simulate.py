@@ -17,9 +17,9 @@ from straightcomp_ros.cli.options import (
     add_force,
     add_json,
     add_parameter_options,
-    check_range,
     chosen_parameters,
     output_file,
+    whole_number,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, working
 from straightcomp_ros.cli.results import (
@@ -44,9 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
     add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: the stage's)")
-    add("--strokes", type=int, default=1, metavar="N", help="cycles forward and back (default: 1)")
+    add("--strokes", type=whole_number(1), default=1, metavar="N", help="cycles forward and back (default: 1)")
     starts = "repeat the cycle from N places of the platform around its start, and print median and range (default: 1)"
-    add("--starts", type=int, default=1, metavar="N", help=starts)
+    add("--starts", type=whole_number(1), default=1, metavar="N", help=starts)
     add("--learn", action="store_true", help="learn from stroke to stroke")
     learned = "as --learn; read what was learned from FILE if it exists, and write it there"
     add("--learned", metavar="FILE", help=learned)
@@ -60,8 +60,6 @@ def run(options: argparse.Namespace) -> None:
     values = chosen_parameters(options)
     if options.delay is not None:
         values["stage"]["drive.delay"] = options.delay
-    check_range("--strokes", options.strokes, 1)
-    check_range("--starts", options.starts, 1)
     if options.starts > 1 and (options.strokes > 1 or options.learn or options.learned or options.bag):
         excluded = "--strokes, --learn, --learned and --bag"
         raise CommandFailed(f"--starts: is of single cycles; leave out {excluded}", exit_code=2)

@@ -303,11 +303,6 @@ def _slow(design: ObserverDesign, stage: StageParameters) -> ObserverDesign:
     return replace(design, bandwidth=free.bandwidth, third_pole=free.third_pole)
 
 
-def _certain(stage: StageParameters) -> bool:
-    """Whether the least friction that the uncertainty allows counts."""
-    return stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * stage.quantum
-
-
 def states_of(control: ControlParameters, stage: StageParameters) -> dict[str, ControlParameters]:
     """The law in each state that it may take on ``stage``, by name: ``quiet``, as its gains are.
 
@@ -321,7 +316,8 @@ def states_of(control: ControlParameters, stage: StageParameters) -> dict[str, C
     if stage.friction.coulomb > 0.0:
         stiffer = {name: design.stiffening * getattr(design, name) for name in ("bandwidth", "surface", "reaching")}
         found["stiff"] = replace(control, smc_observer=replace(design, **stiffer, stiffening=1.0))
-    if not stage.platform.modes.present and not _certain(stage):
+    certain = stage.friction.coulomb / stage.uncertainty.friction >= _COUNTING * stage.quantum
+    if not stage.platform.modes.present and not certain:
         for name, one in (("slow", _slow(design, stage)), ("free", _free(design, stage))):
             found[name] = replace(control, smc_observer=replace(one, stiffening=1.0))
     return found

@@ -6,6 +6,7 @@ What a check reads (files, limits, clocks) are its arguments, so that tests can 
 import gzip
 import importlib
 import json
+import math
 import os
 import re
 import resource
@@ -19,7 +20,7 @@ import numpy as np
 
 from straightcomp_ros.bags.topics import ROS_DISTRO
 from straightcomp_ros.cell.launcher import program
-from straightcomp_ros.doctor import Finding, judged
+from straightcomp_ros.doctor import Finding, State, judged
 from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description, missing_profile
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.stage.description import StageParameters
@@ -117,20 +118,18 @@ def discovery(environment: Mapping[str, str] = os.environ) -> Finding:
     reach = environment.get(RANGE_VARIABLE) or "SUBNET (ROS 2's default)"
     reach = "LOCALHOST (ROS_LOCALHOST_ONLY, which overrides the range)" if localhost_only else reach
     domain = environment.get("ROS_DOMAIN_ID") or "0"
-    detail = f"discovery range {reach}, domain {domain}"
-    if not domain.isdecimal() or int(domain) > _LAST_DOMAIN:
-        remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}: there is no such domain."
-        return Finding("discovery", "fail", detail, remedy)
-    if int(domain) > _LAST_FREE_DOMAIN:
-        remedy = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}: the ports of others are given out by Linux itself."
-        return Finding("discovery", "warn", detail, remedy)
-    if reach == "OFF":
-        return Finding("discovery", "fail", detail, f"Set {RANGE_VARIABLE}=LOCALHOST: nodes do not find each other.")
-    remedy = f"Set {RANGE_VARIABLE}=LOCALHOST unless other machines shall take part in the graph."
-    if localhost_only:
+    number = int(domain) if domain.isdecimal() else math.inf
+    free, local = f"Set ROS_DOMAIN_ID to 0 to {_LAST_FREE_DOMAIN}", f"Set {RANGE_VARIABLE}=LOCALHOST"
+    wrong: Sequence[tuple[bool, State, str]] = (
+        (number > _LAST_DOMAIN, "fail", f"{free}: there is no such domain."),
+        (number > _LAST_FREE_DOMAIN, "warn", f"{free}: the ports of others are given out by Linux itself."),
+        (reach == "OFF", "fail", f"{local}: nodes do not find each other."),
         # Our profile goes by the range.
-        remedy = f"Set {RANGE_VARIABLE}=LOCALHOST and unset ROS_LOCALHOST_ONLY: with it Fast DDS uses shared memory."
-    return judged("discovery", reach == "LOCALHOST", detail, remedy)
+        (localhost_only, "warn", f"{local} and unset ROS_LOCALHOST_ONLY: with it Fast DDS uses shared memory."),
+        (reach != "LOCALHOST", "warn", f"{local} unless other machines shall take part in the graph."),
+    )
+    state, remedy = next(((state, remedy) for is_so, state, remedy in wrong if is_so), ("ok", ""))
+    return Finding("discovery", state, f"discovery range {reach}, domain {domain}", remedy)
 
 
 def locked_memory(limit: int | None = None, status: Path = Path("/proc/self/status")) -> Finding:

@@ -175,7 +175,7 @@ def making(
             for read in reads:
                 if same_or_within(read, path):
                     raise OutputRefused(f"{path}: would be replaced, but is read: {read}; name another output folder")
-            if os.path.lexists(path) and not force and not _made_here(path, made):
+            if os.path.lexists(path) and not force and made.get(path.name, False) not in (None, _files(path)):
                 raise OutputRefused(
                     f"{path}: was not made by straightcomp, or was changed since; name another output folder, or give "
                     "--force to replace it"
@@ -201,10 +201,6 @@ def making(
                 _put(place / name, folder / name)
             remove(place)
         _mark(folder, made | _found(folder, names))
-
-
-def _made_here(path: Path, made: Mapping[str, Any]) -> bool:
-    return path.name in made and made[path.name] in (None, _files(path))
 
 
 def _put(new: Path, path: Path) -> None:

@@ -174,21 +174,17 @@ def test_while_no_law_acts_the_new_one_is_there_at_once():
     assert same(changed.step(0, 1e-7, 0.0, HELD), fresh.step(0, 1e-7, 0.0, HELD))
 
 
-class Steady:
+def answering(gains, state, y, r, *_):
+    return state, Command(*gains, r - y, 0.0, *gains, 0.0, 0.0, math.nan)
+
+
+def steady(current):
     """A law that always answers the same current; it has nothing to forget."""
-
-    def __init__(self, current):
-        self._current = current
-
-    def reset(self, y):
-        pass
-
-    def step(self, *_):
-        return Command(self._current, *(math.nan,) * (len(Command._fields) - 1))
+    return Law((current,), lambda y: (0.0,), answering)
 
 
 def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_ends_with_the_last():
-    loop, laws = Servo(Steady(0.0)), [Steady(0.1), Steady(0.1)]
+    loop, laws = Servo(steady(0.0)), [steady(0.1), steady(0.1)]
     numbers = itertools.count()
 
     def steps(count):
@@ -207,7 +203,7 @@ def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_end
 
 
 def test_a_fade_ends_where_the_law_starts_anew():
-    loop, new = Servo(Steady(0.0)), Steady(0.1)
+    loop, new = Servo(steady(0.0)), steady(0.1)
     loop.step(0, 0.0, 0.0, REST)
     loop.change(new, 10)
     assert loop.step(T, 0.0, 0.0, REST).current == pytest.approx(0.01)
@@ -260,12 +256,8 @@ def test_a_fade_that_does_not_fit_is_refused(fade):
         made(fade=fade)
 
 
-def still(gains, state, *numbers):
-    return state, Command(0.1, numbers[1] - numbers[0], 0.0, 0.1, 0.0, 0.0, math.nan)
-
-
 def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_for():
-    servo = Servo(Law((0.0,), lambda y: (0.0,), still))
+    servo = Servo(steady(0.1))
     servo.inject(made(0.2 + np.arange(1000.0) / 1e4, fade=1))
     command = servo.step(0, 0.0, 0.0, REST)
     assert command.current == pytest.approx(0.3)
@@ -296,7 +288,7 @@ def test_unrest_before_the_first_motion_says_that_friction_is_less_than_describe
 
 
 def test_with_the_amplifier_off_the_signal_is_forgotten_and_says_so():
-    servo, injection = Servo(Law((0.0,), lambda y: (0.0,), still)), made(fade=1)
+    servo, injection = Servo(steady(0.1)), made(fade=1)
     servo.inject(injection)
     commands = [servo.step(k * T, 0.0, current, REST).current for k, current in enumerate((0.0, math.nan, 0.0))]
     assert commands == pytest.approx([0.3, 0.0, 0.1])

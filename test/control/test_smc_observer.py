@@ -259,7 +259,7 @@ def test_a_law_beside_a_mode_does_not_go_over_to_gains_that_make_it_unstable(fre
         friction=replace(STAGE.friction, coulomb=coulomb, static=1.3 * coulomb),
         uncertainty=replace(STAGE.uncertainty, friction=100.0),
     )
-    own, plant = make_law(control, ringing), sampled_plant(ringing, ringing.drive.delay * ringing.period)
+    own, plant = make_law(control, ringing), sampled_plant(ringing)
     for size in (1e-12, 0.6, 0.8, 1.0):
         taken = _stiffness(own.gains, size * own.gains.counting, 0.0)
         made = Law(own.gains._replace(quiet=taken), own.start, step, compiled=True)

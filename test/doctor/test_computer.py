@@ -224,16 +224,18 @@ def timer(late, *stage):
     return computer.timer(sleeps.append, lambda: sum(sleeps) + late * len(sleeps), *stage)
 
 
-@pytest.mark.parametrize(("late", "state"), [(50e-6, "ok"), (5e-3, "warn")])
-def test_a_late_timer_is_a_warning(late, state):
-    assert timer(late).state == state
-
-
-@pytest.mark.parametrize(("delay", "state"), [(1.0, "ok"), (0.1, "warn")])
-def test_a_timer_that_is_later_than_the_described_delay_is_a_warning(delay, state):
-    found = timer(100e-6, StageParameters(drive=DriveParameters(delay=delay)))
-    assert found.name == "command delay" and found.state == state
-    assert f"up to {750 * delay:.0f} µs" in found.detail
+@pytest.mark.parametrize(
+    ("late", "delays", "state", "words"),
+    [
+        (50e-6, (), "ok", "late by 50 µs"),
+        (5e-3, (), "warn", "late by 5000 µs"),
+        (100e-6, (1.0,), "ok", "up to 750 µs"),
+        (100e-6, (0.1,), "warn", "up to 75 µs"),
+    ],
+)
+def test_a_timer_that_is_late_by_itself_or_for_the_described_delay_of_commands_is_a_warning(late, delays, state, words):
+    found = timer(late, *(StageParameters(drive=DriveParameters(delay=delay)) for delay in delays))
+    assert (found.name, found.state) == ("command delay" if delays else "timer", state) and words in found.detail
 
 
 def test_python_can_without_our_interface_is_a_warning(monkeypatch):

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.model.actuator import (
     UNIT_GAIN_ERROR_LIMIT,
-    Actuator,
     ActuatorParameters,
     control_current,
     magnetic_force,
@@ -19,7 +18,7 @@ from straightcomp_ros.model.actuator import (
 )
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.disturbances import OFFSET, DisturbanceParameters, DriftParameters
-from straightcomp_ros.model.friction import LuGre, LuGreParameters
+from straightcomp_ros.model.friction import LuGreParameters
 from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, ModesParameters, at_coil
 from straightcomp_ros.model.plant import (
     BIAS,
@@ -29,10 +28,8 @@ from straightcomp_ros.model.plant import (
     SPEED,
     SUBSTEP_NS,
     Hold,
-    Plant,
     PlantParameters,
     PlatformParameters,
-    _from_array,
     advance,
     advance_to_sample,
     commanded_plant,
@@ -118,11 +115,6 @@ def test_the_coils_stay_between_the_stops_where_a_mode_would_carry_them_beyond()
         farthest = max(farthest, abs(at_coil(constants, state, 0)))
     assert farthest == pytest.approx(plant.platform.stop, rel=1e-6)
     assert np.abs(state[MODE_STATE : MODE_STATE + 4]).max() < 10.0
-
-
-def test_the_constants_of_the_plant_come_through_the_array_in_their_places():
-    plant = Plant(1.0, 2.0, 3.0, Actuator(4.0, 5.0, 6.0), LuGre(7.0, 8.0, 9.0, 10.0, 11.0, 12.0))
-    assert _from_array(plant.as_array()) == plant
 
 
 PERIOD = 500_000

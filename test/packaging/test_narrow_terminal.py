@@ -22,7 +22,7 @@ TIMING = {node: {**COUNTS, **LATENESS} for node in RECORDED}
 HEADINGS = "overruns stalls feedforward controller 12345 56276 6.4 [Hz] [µs] [ms]"
 
 
-@pytest.mark.parametrize("width", [24, 40, 60, 80, 100, 160])
+@pytest.mark.parametrize("width", [24, 40, 60, 70, 80, 100, 160])
 def test_a_table_shows_each_number_whole_at_any_width(width):
     headings = ("claim", "paper", "ours", "unit", "within")
     table = titled_table("The paper's numbers", *headings, left=("unit", "within"), rows=CLAIMS)

@@ -13,7 +13,7 @@ CASES = [
     ("simulate --law pid", "'pid' (choose from"),
     ("simulate --delay -1", "'stage.drive.delay': -1.0 samples is too small; allowed: >= 0"),
     ("simulate --delay nan", "is not finite"),
-    ("simulate --strokes 0", "--strokes 0; allowed: >= 1"),
+    ("simulate --strokes 0", "--strokes: '0'; allowed: a whole number >= 1"),
     ("simulate --set stage.platform.mass=-3", "-3.0 kg is too small; allowed: >= 1e-06"),
     ("simulate --set stage.platform.mass=1e-5 --set stage.actuator.bias_current=50", "the magnets' stiffness is"),
     ("simulate --set stage.platform.mass==", "'=' kg is not a number"),
