@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from straightcomp_ros.offline.scenario import Scenario, make_scenario
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.parameter_file import read_stage_file
 
 STAGES = Path(__file__).resolve().parent.parent / "test" / "stages"
 
@@ -15,7 +15,7 @@ def stage_names() -> list[str]:
 
 def stage_scenario(name: str, law: str = "smc_observer", delay: float | None = None) -> Scenario:
     """The scenario of a stage of test/stages, with commands ``delay`` samples late in place of the described."""
-    values = shipped_parameters(stage=str(STAGES / f"{name}.yaml"))
+    values = read_stage_file(STAGES / f"{name}.yaml")
     if delay is not None:
         values["stage"]["drive.delay"] = delay
     return make_scenario(values, [law])

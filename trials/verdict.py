@@ -30,7 +30,7 @@ from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import with_values
-from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.parameter_file import read_stage_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -108,7 +108,8 @@ def run(options: argparse.Namespace) -> None:
 def sound(random: Generator) -> Drawn:
     """A run of a stage as identified."""
     name = str(random.choice([name for name in stage_names() if name != "infeasible"]))
-    values = shipped_parameters(stage=str(STAGES / f"{name}.yaml"))
+    values: dict[str, dict[str, Any]] = {node: {} for node in ("driver", "feedforward", "controller", "stage")}
+    values |= {node: dict(section) for node, section in read_stage_file(STAGES / f"{name}.yaml").items()}
     scenario = make_scenario(values, [_LAW])
     designed = json.loads((STAGES / "found_gains.json").read_text(encoding="utf-8")).get(name)
     values["controller"] |= designed or closed_form(scenario, _LAW)

@@ -95,6 +95,14 @@ def _values_of(
     return values
 
 
+def read_stage_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
+    """As :func:`read_parameter_file`; a file of a relative name in it is looked for in its folder first."""
+    values = read_parameter_file(path, namespace)
+    for node, found in files_beside(path, values).items():
+        values[node].update(found)
+    return values
+
+
 def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
     """Full names, by node and parameter, of the files in the folder of the stage file ``path`` with ``values``; of what
     is nowhere too, so that its refusal names that folder."""

@@ -8,6 +8,7 @@ from typing import get_type_hints
 import pytest
 import yaml
 
+from scripts import make_parameter_file
 from straightcomp_ros.cli.options import chosen_parameters
 from straightcomp_ros.parameters.declaration import (
     ParameterError,
@@ -20,8 +21,11 @@ from straightcomp_ros.parameters.declaration import (
 )
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import (
+    DEFAULT_FILE,
+    DEFAULT_STAGE,
     as_parameter_file,
     read_parameter_file,
+    read_stage_file,
     shipped_parameters,
 )
 from straightcomp_ros.parameters.share import share_path
@@ -82,20 +86,16 @@ def test_every_default_is_allowed_and_every_parameter_is_described(node):
     assert all({one.description for one in declared}) and len({one.description for one in declared}) == len(declared)
 
 
-def test_the_shipped_parameter_file_names_every_parameter_and_is_what_its_script_writes():
-    path = share_path("config/straightcomp.yaml")
-    values = read_parameter_file(path)
+def test_the_shipped_files_name_every_parameter_and_are_what_their_script_writes():
+    texts = {DEFAULT_FILE: make_parameter_file.parameter_file(), DEFAULT_STAGE: make_parameter_file.stage_file()}
+    assert {name: share_path(name).read_text() for name in texts} == texts
+    values = read_parameter_file(share_path(DEFAULT_FILE))
     for node, parameter_set in NODE_PARAMETERS.items():
         node_parameters(node, values)
         own = [one.name for one in declarations(parameter_set) if not one.name.startswith("stage.")]
         assert list(values[node]) == own
-    described = read_parameter_file(path.parent / "stage_synthetic.yaml")["stage"]
+    described = read_parameter_file(share_path(DEFAULT_STAGE))["stage"]
     assert list(described) == [declaration.name for declaration in declarations(StageParameters)]
-    source = (path.parent.parent / "scripts" / "make_parameter_file.py").read_text()
-    made: dict = {"__name__": "made", "__file__": str(path.parent.parent / "scripts" / "x.py")}
-    exec(compile(source, "make_parameter_file.py", "exec"), made)
-    assert path.read_text() == made["parameter_file"]()
-    assert (path.parent / "stage_synthetic.yaml").read_text() == made["stage_file"]()
 
 
 @pytest.mark.parametrize(
@@ -275,9 +275,8 @@ def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tm
         "/**: {ros__parameters: {use_sim_time: true, stage.rate: 1000}}\n"
         "driver: {ros__parameters: {use_sim_time: true, qos_overrides: {/x: {depth: 1}}, can.dbc: ~/x.dbc}}\n"
     )
-    assert read_parameter_file(path)["driver"] == {"can.dbc": "~/x.dbc"}
-    read = shipped_parameters(stage=str(path))
-    assert read["stage"] == {"rate": 1000} and read["driver"]["can.dbc"] == str(tmp_path / "home" / "x.dbc")
+    read = read_stage_file(path)
+    assert read["stage"] == {"rate": 1000} and read["driver"] == {"can.dbc": str(tmp_path / "home" / "x.dbc")}
 
 
 @pytest.mark.parametrize(
@@ -292,6 +291,6 @@ def test_a_file_that_a_stage_file_names_is_that_in_its_folder_before_one_in_the_
     monkeypatch.chdir(tmp_path / "work")
     for file in (tmp_path / "named.csv", tmp_path / "work" / "named.csv"):
         file.write_text("0.2\n")
-    assert shipped_parameters(stage=str(path))[node][name] == str(tmp_path / "named.csv")
+    assert read_stage_file(path)[node][name] == str(tmp_path / "named.csv")
     (tmp_path / "named.csv").unlink()
-    assert shipped_parameters(stage=str(path))[node][name] == "named.csv"
+    assert read_stage_file(path)[node][name] == "named.csv"
