@@ -84,7 +84,7 @@ def _what_if(options: argparse.Namespace, bag: Path, remap: dict[str, str], give
 
     with working("simulating"):
         runs = what_if(bag, chosen_changes(options), remap, given)
-    columns = [{**run.metrics.to_display(), **run.verdict._asdict()} for run in runs]
+    columns = [run.to_display() for run in runs]
     verdict = runs[-1].verdict
     if options.json:
         names = ("recorded", "simulated_as_recorded", "what_if")

@@ -1,16 +1,13 @@
 """Run cycles of the stage offline: the same plant, map and control law as the running graph, deterministic."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from shlex import quote
-from typing import Any
 
 from straightcomp_ros.analysis.judgement import Verdict, worst
-from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
-from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.options import (
     PICTURES,
@@ -30,9 +27,9 @@ from straightcomp_ros.cli.results import (
     warn_of_missing_margin,
 )
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.offline.starts import Spread, can_run, run_stroke, runs_of_starts, spreads
+from straightcomp_ros.offline.starts import Run, Spread, can_run, run_stroke, runs_of_starts, simulated_run, spreads
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
+from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey_table import SurveyError
 
@@ -70,17 +67,17 @@ def run(options: argparse.Namespace) -> None:
         values["controller"]["learning.file"] = str(output_file(options, "--learned", updates=options.learned))
     over_starts: dict[str, Spread] = {}
     try:
-        record, straightness, cycles, verdicts = _run_cycles(options, values)
-        verdict = worst([(_error(cycle), one) for cycle, one in zip(cycles, verdicts, strict=True)], "cycle")
+        record, straightness, cycles = _run_cycles(options, values)
+        verdict = _worst(cycles, "cycle")
         if verdict.in_order:
             # The figures are the last cycle's.
-            verdict = verdicts[-1]
+            verdict = cycles[-1].verdict
         if options.starts > 1:
             with working("simulating the starts") as advance:
                 runs = runs_of_starts(values, options.starts, advance)
-                found = [(evaluate(*one), verdict_on(*one, values)) for one in runs]
-            over_starts = spreads(metrics.to_display() for metrics, _ in found)
-            verdict = worst([(_error(metrics), one) for metrics, one in found], "start")
+                found = [simulated_run(*one, values) for one in runs]
+            over_starts = spreads(one.metrics.to_display() for one in found)
+            verdict = _worst(found, "start")
     except (ParameterError, SurveyError):
         raise
     except ValueError as error:
@@ -90,8 +87,8 @@ def run(options: argparse.Namespace) -> None:
         # Only here: matplotlib takes longer to import than the cycle to run.
         from straightcomp_ros.analysis.pictures import plot_run
 
-        plot_run(record, straightness, cycles[-1], plot, title=f"Simulated stroke, law '{record.law}'")
-    shown = [{**cycle.to_display(), **one._asdict()} for cycle, one in zip(cycles, verdicts, strict=True)]
+        plot_run(record, straightness, cycles[-1].metrics, plot, title=f"Simulated stroke, law '{record.law}'")
+    shown = [cycle.to_display() for cycle in cycles]
     controller = node_parameters("controller", values)
     missing = warn_of_missing_margin(controller.control, controller.stage)
     delay = node_parameters("driver", values).stage.drive.delay
@@ -116,28 +113,24 @@ def run(options: argparse.Namespace) -> None:
     fail_unless_in_order(verdict)
 
 
-def _run_cycles(
-    options: argparse.Namespace, values: Mapping[str, Mapping[str, Any]]
-) -> tuple[StrokeRecord, StraightnessMap, list[Metrics], list[Verdict]]:
+def _run_cycles(options: argparse.Namespace, values: Values) -> tuple[StrokeRecord, StraightnessMap, list[Run]]:
     """The last cycle, the map, and the figures and verdicts of all cycles."""
     if options.strokes == 1 and not options.bag and can_run(values):
         record, straightness = run_stroke(values)
-        return record, straightness, [evaluate(record, straightness)], [verdict_on(record, straightness, values)]
+        return record, straightness, [simulated_run(record, straightness, values)]
     simulation = Simulation(values)
-    cycles: list[Metrics] = []
-    verdicts: list[Verdict] = []
+    cycles: list[Run] = []
     opened = SimulatedRun(Path(options.bag), by_node(values), simulation.delay) if options.bag else nullcontext()
     with working("simulating") as advance, opened as bag:
         for _ in range(options.strokes):
             record = simulation.run(
                 lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
             )
-            cycles.append(evaluate(record, simulation.map))
-            verdicts.append(verdict_on(record, simulation.map, values))
+            cycles.append(simulated_run(record, simulation.map, values))
     simulation.save_learning()
-    return record, simulation.map, cycles, verdicts
+    return record, simulation.map, cycles
 
 
-def _error(metrics: Metrics) -> float:
-    """The true error p-p in m, by which runs are compared."""
-    return metrics.encoder_pp if metrics.true_pp is None else metrics.true_pp
+def _worst(runs: Sequence[Run], kind: str) -> Verdict:
+    """As of `worst`, by the true error p-p, which every simulated run has."""
+    return worst([(run.metrics.true_pp, run.verdict) for run in runs], kind)

@@ -14,7 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.figure_words import with_digits
+from straightcomp_ros.analysis.judgement import Verdict
+from straightcomp_ros.analysis.metrics import Metrics, evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.offline.scenario import Cycle, Scenario, Stroke, laws_of, make_scenario, node_set
 from straightcomp_ros.offline.simulation import Simulation
@@ -28,6 +31,23 @@ PITCH = 0.13e-6
 """Distance of neighbouring starts in m: not a multiple of the encoder's 0.1 µm, so each lies elsewhere in a count."""
 COUNTS_APART = 1.3
 """The same in counts, for other encoders."""
+
+
+class Run(NamedTuple):
+    """Law, figures and verdict of a recorded or a simulated run."""
+
+    law: str
+    metrics: Metrics
+    verdict: Verdict
+
+    def to_display(self) -> dict[str, Any]:
+        """Figures and verdict by name."""
+        return {**self.metrics.to_display(), **self.verdict._asdict()}
+
+
+def simulated_run(record: StrokeRecord, straightness: StraightnessMap, values: Values) -> Run:
+    """Figures and verdict of a simulated run."""
+    return Run(record.law, evaluate(record, straightness), verdict_on(record, straightness, values))
 
 
 class Spread(NamedTuple):

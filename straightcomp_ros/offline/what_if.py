@@ -4,20 +4,20 @@ import tempfile
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.interruption import PAUSE
-from straightcomp_ros.analysis.judgement import Verdict
-from straightcomp_ros.analysis.metrics import Metrics, evaluate
+from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import SHORTEST_STROKE, StrokeRecord
-from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of, verdict_on
+from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import Run, simulated_run
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values, by_node, changed
 from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.stage.description import StageParameters
@@ -30,14 +30,6 @@ _APPROACH_NS = 1_000_000_000
 """Time for the simulated stage to go from 0 to the recorded start, before the first sample."""
 
 _FORCE_FILE = "simulated.truth.disturbances.force_file"
-
-
-class Run(NamedTuple):
-    """Law, figures and verdict of a recorded or a simulated run."""
-
-    law: str
-    metrics: Metrics
-    verdict: Verdict
 
 
 def what_if(
@@ -128,5 +120,4 @@ def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
 
 def _simulated(values: Values, motion: tuple[Trajectory, int]) -> Run:
     simulation = Simulation(values, motion=motion)
-    record = simulation.run()
-    return Run(record.law, evaluate(record, simulation.map), verdict_on(record, simulation.map, values))
+    return simulated_run(simulation.run(), simulation.map, values)
