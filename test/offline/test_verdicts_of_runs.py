@@ -38,12 +38,17 @@ SHORT = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{na
 GUIDE = "config/guide_synthetic.csv"
 
 
+def parameters(**sections) -> dict[str, dict]:
+    """Of a cycle of 0.3 m forward and back."""
+    return {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE, **sections}
+
+
 def verdict(**changes) -> Verdict:
-    """On the first cycle, 0.3 m forward and back, with changes NODE.NAME of the parameters, dots as in their names."""
-    values: dict[str, dict] = {"driver": {}, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
+    """On the first cycle, with changes NODE.NAME of the parameters, dots as in their names."""
+    values = parameters()
     for name, value in changes.items():
         node, _, parameter = name.partition(".")
-        values[node][parameter] = value
+        values[node] = {**values[node], parameter: value}
     record, straightness = first_cycle(values)
     return verdict_of(judged_motion(record, straightness, by_node(values), straightness))
 
@@ -150,12 +155,7 @@ def test_a_survey_of_another_guide_is_recognised(tmp_path, law):
 def test_a_survey_with_a_zero_that_is_off_is_found_by_the_truth_and_by_a_sensor(tmp_path, truth):
     guide = load_map(MapParameters(file=GUIDE))
     file = survey(tmp_path / "shifted.csv", lambda x: guide.deviations(x - 2e-3))
-    values = {
-        "driver": {},
-        "feedforward": {"stage.guide.file": file},
-        "controller": {},
-        "stage": {"motion.stroke": 1.7},
-    }
+    values = parameters(feedforward={"stage.guide.file": file}, stage={"motion.stroke": 1.7})
     record, straightness = first_cycle(values)
     sensor = None
     if not truth:
@@ -173,8 +173,7 @@ def test_a_survey_with_a_zero_that_is_off_is_found_by_the_truth_and_by_a_sensor(
 def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_noisy_map(tmp_path):
     guide, random = load_map(MapParameters(file=GUIDE)), np.random.default_rng(1)
     file = survey(tmp_path / "noisy.csv", lambda x: guide.deviations(x) + random.normal(0.0, 0.3e-6, x.size), step=1e-3)
-    followed = {"stage.guide.file": file, "stage.guide.smooth": "none"}
-    values = {"driver": {}, "feedforward": followed, "controller": {}, "stage": dict(CYCLE)}
+    values = parameters(feedforward={"stage.guide.file": file, "stage.guide.smooth": "none"})
     record, straightness = first_cycle({**values, "driver": {"simulated.truth.mass": 4.0}})
     found = promise_of(record, by_node(values), straightness)
     assert found.smooth.pp < 0.3e-6 < 1e-6 < found.as_mapped().pp
@@ -193,7 +192,7 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
 def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_the_list_is(tmp_path):
     (tmp_path / "positions.txt").write_text("0.1\n0.2\n0.3\n")
     by_list, in_steps = (
-        {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE | motion}
+        parameters(stage=CYCLE | motion)
         for motion in ({"motion.file": str(tmp_path / "positions.txt"), "motion.stroke": 1.0}, {"motion.steps": 3})
     )
     record, straightness = first_cycle(by_list)
@@ -216,7 +215,6 @@ def test_the_sample_bags_are_in_order_but_for_the_one_that_is_cut_off_in_motion(
 def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float = 0.0, **driver) -> Path:
     """A bag of a short cycle, with parameters of the ``driver``. In ``stall`` (s) nineteen of twenty samples are lost,
     and the platform is off by up to ``kick`` in m."""
-    values = {"driver": driver, "feedforward": {}, "controller": {}, "stage": dict(CYCLE)}
     begin, end = stall
 
     def see(run, sample, truth, *answer):
@@ -227,7 +225,7 @@ def recorded(folder: Path, stall: tuple[float, float] = (0.0, 0.0), kick: float 
             push = kick * math.sin(math.pi * (time - begin) / (end - begin))
             run.add(sample._replace(y=sample.y + push), truth._replace(y=truth.y + push), *answer)
 
-    return recorded_run(folder, values, see)
+    return recorded_run(folder, parameters(driver=driver), see)
 
 
 @pytest.fixture(scope="module")

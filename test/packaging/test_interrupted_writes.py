@@ -1,6 +1,5 @@
 """A kill or a full disk at any write of any verb leaves the inputs as they were, and each output old or new."""
 
-import argparse
 import json
 import os
 import re
@@ -13,6 +12,7 @@ from pathlib import Path
 import interrupted
 import pytest
 from places import BAGS, REPOSITORY
+from test_command_line import parsers
 from tiers import nightly
 
 from straightcomp_ros.cli.main import main, make_parser
@@ -63,23 +63,16 @@ LONG = {"reproduce --output": 5}
 QUICK = ("opcua user file", "map convert --output")
 
 
-def commands(parser, words=""):
-    """Each command of the command line, with the options and arguments that name a file."""
-    deeper = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    own = [action for action in parser._actions if action.metavar in PATHS]
-    yield words.strip(), {(action.option_strings or [action.dest])[0] for action in own}
-    for action in deeper:
-        for name, below in action.choices.items():
-            yield from commands(below, f"{words} {name}")
-
-
 def test_each_option_that_names_a_file_is_read_or_is_written_by_a_case_here():
     written = {}
     for case in (*CASES, *SAME, *LIVE, *EMPTY):
         words = case.split()
         split = next(i for i, word in enumerate(words) if word.startswith("-") or i + 1 == len(words))
         written.setdefault(" ".join(words[:split]), set()).update(words[split:])
-    found = dict(commands(make_parser()))
+    found = {
+        words: {(one.option_strings or [one.dest])[0] for one in parser._actions if one.metavar in PATHS}
+        for words, parser in parsers(make_parser())
+    }
     for words, options in found.items():
         assert all(map(READ.fullmatch, options - written.get(words, set()))), words
     assert all(options <= found[words] for words, options in written.items())

@@ -1,4 +1,4 @@
-"""The script that runs tests as on other processors: what it sets, and what it reads of pytest's last line."""
+"""What the script sets that runs tests as on other processors."""
 
 import platform
 import subprocess
