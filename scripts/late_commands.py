@@ -59,8 +59,7 @@ def stalls(values: Values, period_ns: int) -> None:
             delays = stalled(_SAMPLES, period_ns, period_ns, stall_ms, starts)
             record, straightness = run_stroke(values, delays)
             error = record.true_error(straightness)
-            if error is None:
-                raise AssertionError("a simulation has truth")
+            assert error is not None  # a simulation has truth
             moving = np.zeros(error.size, dtype=bool)
             moving[record.motion.samples()] = True
             after = length + _AFTERMATH

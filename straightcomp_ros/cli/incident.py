@@ -7,6 +7,7 @@ judges the run again, draws it, and computes every command again. The first line
 import argparse
 import contextlib
 import json
+import shutil
 from datetime import datetime
 from pathlib import Path
 from shlex import quote
@@ -75,8 +76,6 @@ def _open(options: argparse.Namespace) -> None:
     try:
         details = unpack(file, folder)
     except IncidentError as error:
-        import shutil
-
         shutil.rmtree(folder, ignore_errors=True)
         raise CommandFailed(str(error), exit_code=2) from error
     logs = {one.name: one.read_text(errors="replace") for one in sorted(folder.glob("logs/*"))}

@@ -190,9 +190,9 @@ def current_for(g: Loop, y: float, acceleration: float) -> float:
 
 
 @compilable
-def limited(g: Loop, current: float) -> float:
-    """The current within the limit, A. The observer is given the limited command: nothing can wind up.
+def limited(limit: float, current: float) -> float:
+    """The current within ± ``limit``, A. The observer is given the limited command: nothing can wind up.
 
     In this order of the arguments NaN stays NaN, which the driver refuses; in the other it would become the limit.
     """
-    return min(max(current, -g.current_limit), g.current_limit)
+    return min(max(current, -limit), limit)

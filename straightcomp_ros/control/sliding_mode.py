@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.control.filters import EMPTY, NONE, Filters, Memory, filtered
 from straightcomp_ros.control.law import Command
+from straightcomp_ros.control.observer import limited
 from straightcomp_ros.model.actuator import stiffness_errors
 from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.parameters.declaration import parameter
@@ -189,8 +190,7 @@ def step(
     wanted = equivalent + switching
     asked, memory = filtered(g.filters, state.memory, wanted, y - r)
     equivalent += asked - wanted
-    # In this order NaN stays NaN, see `limited` of observer.py.
-    command = min(max(asked, -g.current_limit), g.current_limit)
+    command = limited(g.current_limit, asked)
     # More ∫(y − r) means less current.
     if command == asked or (y - r) * asked > 0.0:
         integral += g.period * (y - r)

@@ -241,7 +241,7 @@ def step(
     asked, memory = filtered(g.filters, state.memory, wanted, y - r if state.rest.time <= g.wait else 0.0)
     asked, rest = _held(g, state.rest, fit, asked, y, r, r_dot)
     asked, dither = _dithered(g, state.dither, rest, fit, asked)
-    answer = limited(loop, asked)
+    answer = limited(loop.current_limit, asked)
     after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
     if believed < g.counting:
         # The slow observer would follow a stiffness that is not as described too late: the fit knows it.
@@ -401,7 +401,7 @@ def _held(g: Gains, rest: Rest, fit: Fit, asked: float, y: float, r: float, r_do
         offset = rest.offset + g.weight * (rest.mean - asked - rest.offset)
         return rest.mean, Rest(place, time, rest.mean, offset, restless, stand, stood)
     offset = (1.0 - g.weight) * rest.offset
-    mean = rest.mean + g.weight * (limited(g.loop, asked + offset) - rest.mean)
+    mean = rest.mean + g.weight * (limited(g.loop.current_limit, asked + offset) - rest.mean)
     return asked + offset, Rest(place, time, mean, offset, restless, stand, stood)
 
 
