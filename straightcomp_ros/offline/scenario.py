@@ -259,8 +259,7 @@ class Scenario:
         true_x = self.trajectory.at(stamps)
         x = readings(self.driver.stage.encoder.x_resolution, true_x)
         tracking = self.followed.tracking(self.feedforward, straightness)
-        limits = self.followed.motion.highest_speed, self.followed.encoder.x_noise
-        found = references(straightness, tracking, *limits, stamps, x)
+        found = references(straightness, tracking, self.followed, stamps, x)
         # As `Pairing` gives them to the law: extrapolated from those of the lead before each sample.
         earlier = np.searchsorted(stamps, np.maximum(stamps - self.lead_ns, stamps[0]), side="right") - 1
         given = np.column_stack(extrapolated(*found[earlier].T, (stamps - stamps[earlier]) * 1e-9))
@@ -369,18 +368,16 @@ def _follow(bandwidth, gap_ns, max_speed, noise, stamps, x, v, a):  # type: igno
 def references(
     straightness: StraightnessMap,
     parameters: FeedforwardParameters,
-    highest_speed: float,
-    noise: float,
+    stage: StageParameters,
     stamps: NDArray[np.int64],
     x: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """The references of a whole cycle at once, bit for bit those of `Feedforward.step`, by the same functions.
 
     r in m, ṙ in m/s and r̈ in m/s², (n, 3), at ``stamps``, (n,) in ns, all different, and ``x``, (n,) in m.
-
-    ``highest_speed`` is that which the stage cannot reach, m/s; ``noise`` what two readings may differ by at rest, m.
     """
     v, a = np.empty_like(x), np.empty_like(x)
-    _follow(parameters.bandwidth, parameters.restart_gap_ns, highest_speed, noise, stamps, x, v, a)
+    limits = stage.motion.highest_speed, stage.encoder.x_noise
+    _follow(parameters.bandwidth, parameters.restart_gap_ns, *limits, stamps, x, v, a)
     r, slope, curvature = along(straightness, x)
     return np.column_stack([r, *rates(slope, curvature, v, a)])

@@ -140,8 +140,7 @@ def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
     x[2000:] += 0.05  # a jump that no stage makes
     feedforward = Feedforward(MAP)
     expected = [feedforward.step(stamp, at) for stamp, at in zip(stamps.tolist(), x.tolist(), strict=True)]
-    limits = STAGE.motion.highest_speed, STAGE.encoder.x_noise
-    np.testing.assert_array_equal(references(MAP, FeedforwardParameters(), *limits, stamps, x), expected)
+    np.testing.assert_array_equal(references(MAP, FeedforwardParameters(), STAGE, stamps, x), expected)
 
 
 @pytest.mark.parametrize(("acceleration", "speed"), [(40.0, 0.3), (10.0, 1.3)])
