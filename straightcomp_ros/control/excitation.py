@@ -4,10 +4,11 @@ Live, offline and replayed runs use it through `Servo.inject`, with the same tab
 The law does not know of it, so that it stands at the plant's input as a disturbance would. A bag has both: the command,
 and as its equivalent plus its switching current what the law had asked for.
 
-For frequency responses (docs/frequency_response.md) the signal is a multisine, repeated with other random phases.
-Periodic signals have no leakage: the discrete Fourier transform over whole periods gives each line exactly. Draws with
-other phases show what of the response is not linear: a nonlinearity answers each draw with a component of its own that
-looks random, which a repetition of the same period would not show (R. Pintelon and J. Schoukens, System Identification,
+For frequency responses the signal is a multisine: periods of a sum of sines on a grid of frequencies, repeated with
+other random phases. Periodic signals have no leakage: the discrete Fourier transform over whole periods gives each line
+exactly. Each draw of phases begins before its period, so that the transient dies in what is not used. Draws with other
+phases show what of the response is not linear: a nonlinearity answers each draw with a component of its own that looks
+random, which a repetition of the same period would not show (R. Pintelon and J. Schoukens, System Identification,
 2nd ed., 2012, chapter 4).
 
 The amplitudes are shaped by what the description expects of the loop. At low frequencies a law takes back most of what

@@ -1,11 +1,14 @@
 """Law `smc_observer`: sliding mode with an observer, friction inside both, and a constant command at rest.
 
-docs/law.md derives it, and says why; docs/tuning.md how its gains follow from the dead time. Observer and law know the
-friction F̂ of the LuGre model (`model/friction.py`), driven by a velocity that is mostly the reference's,
+What limits a law without a friction model is local instability: while the platform slides near the Stribeck velocity,
+friction falls with speed and acts like a negative stiffness, ten times that of the magnets. Here observer and law know
+the friction F̂ of the LuGre model (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40(3), 1995;
+`model/friction.py`), driven by a velocity that is mostly the reference's,
 
     v = ṙ + m (v̂ − ṙ),   ż = v − σ0 |v| z / g(v),
 
-with a share m of the observer's v̂. The observer (`observer.py`) estimates d, the rest of the disturbance:
+with a share m of the observer's v̂. m = 1 would feed the encoder's noise through the steep slope of friction at v = 0,
+m = 0 would not notice when the platform sticks. The observer (`observer.py`) estimates d, the rest of the disturbance:
 
     M v̇ = f_c(y, i) + M d − F̂(z, v).
 
@@ -13,9 +16,9 @@ The sliding variable σ = (ẏ − ṙ) + λ (y − r) is that of the moment at 
 
     a = r̈ − λ (ẏ − ṙ) − κ σ − d + F̂/M.
 
-The size s of F̂ multiplies F_C and F_S. When s changes, d gives what F̂ takes. The disturbance that the observer
-estimates, d in m/s², is fitted by recursive least squares with forgetting (normal equations and forgetting as in Åström
-and Wittenmark, Adaptive Control, 2nd ed. 1995, ch. 2):
+The size s of F̂ multiplies F_C and F_S, and is fitted while the law runs, by recursive least squares with forgetting. It
+starts low: too much friction makes limit cycles of micrometres, too little is harmless. When s changes, d gives what F̂
+takes. The disturbance that the observer estimates, d in m/s², is fitted by
 
     d = c + b r + s F̄
 
@@ -24,10 +27,28 @@ acceleration u, which acts from one sample to the next, by
 
     (1 − p)² (1 − q) z (z + 1) / (2 (z − p)² (z − q)) u,
 
-and F̄ passes the same lag before it is compared. Forgetting lets the covariance P grow where nothing excites a
-direction: nothing is forgotten while the trace of P would exceed `_LARGEST_TRACE`, and the fit is paused while the
-reference rests. Under dither F̂ = s (F_C/√(v² + v_d²) + σ2) v, with the velocity v_d that the dither would give the mass
-without friction, takes the place of the bristles.
+and F̄ passes the same lag before it is compared. c takes what is constant, b an error of the magnets' stiffness; without
+them both would be taken for friction. Normal equations and forgetting as in Åström and Wittenmark, Adaptive Control,
+2nd ed. 1995, ch. 2. Forgetting lets the covariance P grow where nothing excites a direction: nothing is forgotten while
+the trace of P would exceed `_LARGEST_TRACE`, and the fit is paused while the reference rests.
+
+Where the model explains the friction, a slow observer and little gain leave the least error, and the coils are quiet.
+Where it does not, the loop itself has to follow friction. The RMS of what the fit leaves unexplained moves the
+observer's bandwidth, λ and κ between two sets, the quiet one and one that is stiffer by a factor.
+
+Under dither friction is, in the mean over a turn, a curve that rises with the velocity. It takes the place of the
+bristles, F̂ = s (F_C/√(v² + v_d²) + σ2) v, with the velocity v_d that the dither would give the mass without friction.
+Its amplitude follows the friction that is found. It begins and ends over some turns: one that began at once would push
+the platform, which has been held, by a count.
+
+At rest the quantised reading would keep the command moving. Once the reading has stayed within a band around a resting
+reference for a while, the command is held at the mean of the last ones. When the hold ends, the mean difference between
+held and computed command decays slowly, so that leaving rest makes no bump.
+
+Tuning: first `gain_allowance`, the assumed acceleration per current relative to nominal. More of it lowers the loop's
+gain: machines with strong magnets, little mass or late commands stay stable; too much, and a weak machine does not hold
+against the negative stiffness (`margins.py` gives both limits). Then the observer's bandwidth, λ and κ together. With
+T_d = 1.5 T + 1/(2π f_amp): bandwidth 0.219/T_d in Hz, λ = 0.614/T_d, κ = 0.423/T_d.
 """
 
 import math

@@ -12,16 +12,19 @@ The level of friction may change with the place on the guide, with the time at r
     G(θ) = min(G_max, 1 + b ln(1 + θ/t0)),  θ̇ = 1 − |v| θ/D
     e(t) = factor from the time of the step on, 1 before
 
-At rest the age θ of the contact is the time since it stopped; sliding renews the contact within the distance D.
+At rest the age θ of the contact is the time since it stopped. The logarithm is from Dieterich, Journal of Geophysical
+Research 77(20), 1972; the ageing law, by which the contact is renewed within the sliding distance D, from Dieterich,
+Journal of Geophysical Research 84(B5), 1979, and Ruina, Journal of Geophysical Research 88(B12), 1983.
 
-In place of the bristles there may be elasto-slip blocks in parallel, the generalised Maxwell-slip model. Block i
-carries the force F_i and holds the share α_i of the level s(v):
+In place of the bristles there may be elasto-slip blocks in parallel, the generalised Maxwell-slip model (Al-Bender,
+Lampaert, Swevers, IEEE TAC 50(11), 2005). Block i carries the force F_i and holds the share α_i of the level s(v):
 
     stuck:    Ḟ_i = k_i v, until |F_i| = α_i s(v)
     slipping: Ḟ_i = sgn(v) C (α_i − F_i/s(v)), until v changes its sign
     F = Σ F_i + σ1 v Σ_stuck k_i/σ0 + σ2 v,   Σ α_i = 1,   Σ k_i = σ0
 
-While a block slips, |F_i| rises at most at k_i |v| here. docs/concept.md has the reasons and the sources.
+While a block slips, |F_i| rises at most at k_i |v| here. Without this bound, a block whose level rises faster than the
+motion bends it would store energy that nothing supplied.
 """
 
 import math

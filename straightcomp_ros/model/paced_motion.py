@@ -1,6 +1,7 @@
 """The stage's motion while it runs: held, let go on, slowed down and ended, without leaving its trajectory.
 
-The stage is where its trajectory x(τ) is at the path time τ, with the pace u = dτ/dt (docs/cell.md):
+The stage is where its trajectory x(τ) is at the path time τ. The pace u = dτ/dt is 1 unless less was asked for, so
+the stage goes through the same positions in the same order at any pace, and the reference r(x) with it:
 
     ẋ = x' u,   ẍ = x'' u² + x' u̇
 
