@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.options import output_folder, whole_number
 from straightcomp_ros.cli.output import print_json
@@ -153,6 +154,7 @@ def simulated_rows(
         straightness, coils = simulation.map, np.array(measured)
     assert record.true_x is not None
     stamps = np.round(record.time * 1e9).astype(np.int64)
+    on = np.ones(stamps.size, np.bool_)
     evaluation = BagEvaluation(
         # A real machine does not publish the truth.
         record=replace(record, true_x=None, true_y=None, guide=None),
@@ -161,8 +163,9 @@ def simulated_rows(
         latency=np.empty(0),
         lateness=np.empty(0),
         stamps=stamps,
-        amplifier_on=np.ones(stamps.size, np.bool_),
+        amplifier_on=on,
         parameters={},
+        encoder=encoder_run(stamps, record.x, on, int(stamps[-1])),
         map=straightness,
         coil_current=np.round(coils / _ADC_STEP) * _ADC_STEP,
         guide=None if readings is None else readings(record.true_x),

@@ -54,7 +54,7 @@ class Assessment:
         self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
         # Samples that the clock took and the bag lacks.
         periods = np.diff(time) / np.median(np.diff(time))
-        paused = np.isin(evaluation.stamps[:-1], evaluation.pauses)
+        paused = np.isin(evaluation.stamps[:-1], evaluation.encoder.pauses)
         gaps = np.flatnonzero((periods > 1.5) & ~paused).tolist()
         self.gaps = [Interval(float(time[at]), float(time[at + 1]), round(float(periods[at])) - 1) for at in gaps]
         # Where the command was at the law's current limit.
@@ -62,7 +62,7 @@ class Assessment:
         # Where the amplifier was off between the run's first motion and its last, as the encoder saw the stage move,
         # whether the law ran or not: a fault, or a stop.
         self.amplifier_off: list[Interval] = []
-        if evaluation.encoder and (seen := evaluation.encoder.strokes):
+        if seen := evaluation.encoder.strokes:
             off, first, last = evaluation.encoder.off, time[seen[0].start], time[seen[-1].stop - 1]
             self.amplifier_off = [one for one in _intervals(time, off) if one.start <= last and one.end >= first]
         parts = [(one.time, one.x, one.y, one.r) for one, _ in strokes]

@@ -26,7 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import Array, Stroke
+from straightcomp_ros.analysis.judged_motion import JudgedMotion
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual
 from straightcomp_ros.straightness.smoothing import NORMAL_95
@@ -106,10 +107,11 @@ class Line(NamedTuple):
     at: float
 
 
-def mains(time: Array, error: Array, line: Line, rests: Sequence[Array] = ()) -> Line | None:
-    """The ``line`` that was found in segments of ``error`` (n,), m, at ``time`` (n,), s, if it is of the mains; the
-    error in each of the ``rests`` between strokes must have it too, where they are long enough to tell."""
-    found, period = _coherent(time, error, line.at), float(np.median(np.diff(time)))
+def mains(motion: JudgedMotion, line: Line) -> Line | None:
+    """The ``line`` that was found in segments of the error, if it is of the mains; the error in each rest between
+    strokes must have it too, where they are long enough to tell."""
+    time, error, period = motion.time, motion.error, motion.period
+    found = _strongest(*_spectrum(time, error, line.at), (1.0 - _AROUND) * line.at, (1.0 + _AROUND) * line.at)
     of_grid = [n for one in MAINS for n in _MULTIPLES if abs(found.at / (n * one) - 1.0) <= _GRID]
     if not of_grid or found.amplitude < _COHERENT * line.amplitude:
         return None
@@ -120,25 +122,22 @@ def mains(time: Array, error: Array, line: Line, rests: Sequence[Array] = ()) ->
         others = [(m, n) for n in of_grid for m in _MULTIPLES if m % n or (m // n) % 2 == 0]
         if not any(_stands_out(time, error, found.at * m / n, _OF_COMB * found.amplitude) for m, n in others):
             return None
-    told = [rest for rest in rests if rest.size * period * found.at >= _WAVES_AT_REST and np.ptp(rest) > 0.0]
-    return (
-        found
-        if all(_stands_out(period * np.arange(one.size, dtype=np.float64), one, found.at) for one in told)
-        else None
-    )
+    rests = [one for one in motion.resting() if one.size * period * found.at >= _WAVES_AT_REST and np.ptp(one) > 0.0]
+    in_all = all(_stands_out(period * np.arange(one.size, dtype=np.float64), one, found.at) for one in rests)
+    return found if in_all else None
 
 
-def locked_to_x(time: Array, x: Array, error: Array, strokes: Sequence[Stroke]) -> Line | None:
-    """The strongest wave of the error over ``x`` (n,), m, if in each of the ``strokes`` it has more of the error than
-    any line in time, and enough to name it."""
+def locked_to_x(motion: JudgedMotion) -> Line | None:
+    """The strongest wave of the error over x, if in each stroke it has more of the error than any line in time, and
+    enough to name it."""
     found = []
-    for samples in (stroke.samples for stroke in strokes):
-        speed = float(np.quantile(np.abs(np.gradient(x[samples], time[samples])), 0.9))
-        over_x = _of_few_waves(x[samples], error[samples], _FASTEST / speed)
-        over_time = _of_few_waves(time[samples], error[samples], _FASTEST)
+    for samples in (stroke.samples for stroke in motion.strokes):
+        time, x, error = motion.time[samples], motion.x[samples], motion.error[samples]
+        speed = float(np.quantile(np.abs(np.gradient(x, time)), 0.9))
+        over_x, over_time = _of_few_waves(x, error, _FASTEST / speed), _of_few_waves(time, error, _FASTEST)
         # At constant speed both are the same line: the ramps make the difference, which noise must not make.
-        noise = _background(*_spectrum(x[samples], error[samples], over_x.at), float(np.ptp(x[samples])), over_x.at)
-        if over_x.amplitude < max(_A_WAVE * float(error.std()), over_time.amplitude + noise):
+        noise = _background(*_spectrum(x, error, over_x.at), float(np.ptp(x)), over_x.at)
+        if over_x.amplitude < max(_A_WAVE * motion.rms, over_time.amplitude + noise):
             return None
         found.append(over_x)
     return min(found, default=None)
@@ -252,23 +251,23 @@ def _unexplained(x: Array, left: Array, shape: Array) -> float:
     return float(rest @ rest) / max(float(whole @ whole), np.finfo(float).tiny)
 
 
-def dragging(time: Array, y: Array, r: Array, current: Array, error: Array, strokes: Sequence[Stroke]) -> float:
-    """Part of the ``current`` (n,) in A that opposes a cable's drag: it turns round with the travel of the stage, that
-    against friction with the platform's. 0 unless the two can be distinguished, it outweighs the rest, and the
-    ``error`` (n,) in m is made where the stage starts and stops, as that of an offset that drifts is not."""
-    period, ways = float(np.median(np.diff(time))), np.zeros(time.size)
-    ends = np.zeros(time.size, dtype=bool)
-    for one in strokes:
+def dragging(motion: JudgedMotion) -> float:
+    """Part of the current in A that opposes a cable's drag: it turns round with the travel of the stage, that against
+    friction with the platform's. 0 unless the two can be distinguished, it outweighs the rest, and the error is made
+    where the stage starts and stops, as that of an offset that drifts is not."""
+    time, current, error = motion.time, motion.current, motion.error
+    ways, ends = np.zeros(time.size), np.zeros(time.size, dtype=bool)
+    for one in motion.strokes:
         ways[one.samples] = 1.0 if one.direction == "forward" else -1.0
         for end in (one.start, one.stop):
-            ends[end : end + round(_AFTER / period)] = True
+            ends[end : end + round(_AFTER / motion.period)] = True
     moving = np.flatnonzero(ways)
     if not moving.size or not np.ptp(ways[moving]):
         return 0.0
-    velocity = np.sign(np.gradient(r, time))
+    velocity = np.sign(np.gradient(motion.r, time))
     if abs(float(np.mean(velocity[moving] * ways[moving]))) > _SAME_WAY:
         return 0.0
-    terms = np.column_stack([np.ones(time.size), y, velocity, ways])[moving]
+    terms = np.column_stack([np.ones(time.size), motion.y, velocity, ways])[moving]
     factors, *_ = np.linalg.lstsq(terms, current[moving], rcond=None)
     rest = float(np.std(current[moving] - terms @ factors))
     friction, drag = np.abs(factors[2:]).tolist()
@@ -276,23 +275,23 @@ def dragging(time: Array, y: Array, r: Array, current: Array, error: Array, stro
     return drag if drag > max(friction, rest) and at_ends > _AT_REVERSALS * elsewhere > 0.0 else 0.0
 
 
-def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[Stroke], rests: Sequence[Array]) -> str:
-    """Why an ``error`` (n,) in m is large that no line and no jumps make, and what to do; reference ``r`` and slider
-    ``x`` (n,) in m at ``time`` (n,) in s, the error in each of the ``rests`` between the strokes."""
+def of_error(motion: JudgedMotion) -> str:
+    """Why an error is large that no line and no jumps make, and what to do."""
     # This import takes half a second.
     from scipy.ndimage import gaussian_filter1d
 
-    period, grid = float(np.median(np.diff(time))), np.linspace(float(x.min()), float(x.max()), _PLACES)
+    x, error, strokes, period = motion.x, motion.error, motion.strokes, motion.period
+    grid = np.linspace(float(x.min()), float(x.max()), _PLACES)
     rows = [np.interp(grid, *_ascending(x[one.samples], error[one.samples])) for one in strokes]
     alike = np.atleast_2d(np.corrcoef(rows)) if rows else np.ones((0, 0))
     of_way = [[one.direction == way for one in strokes] for way in ("forward", "backward")]
     same_place = "it is the same at each place of x in every stroke: learning.learn takes it off"
     if any(sum(ours) > 1 and float(alike[np.ix_(ours, ours)][0].min()) > _REPEATS for ours in of_way):
         return same_place
-    if locked_to_x(time, x, error, strokes):
+    if locked_to_x(motion):
         return same_place
     step = max(1, round(_STEP / period))
-    ways = np.sign(np.diff(r[::step]))
+    ways = np.sign(np.diff(motion.r[::step]))
     turns, way_of_r = np.flatnonzero(np.diff(ways))[:, np.newaxis] * step, np.repeat(ways, step)
     after = np.zeros(error.size, dtype=bool)
     after[np.minimum(turns + np.arange(round(_AFTER / period)), error.size - 1)] = True
@@ -309,7 +308,7 @@ def of_error(time: Array, x: Array, r: Array, error: Array, strokes: Sequence[St
         )
     if float(gaussian_filter1d(error, _SLOW / period).var()) > _MOST * float(error.var()):
         return "it changes slowly: look for an offset of the amplifier that drifts, a cable that drags, or a tilt"
-    resting = np.concatenate([rest - rest.mean() for rest in rests] or [error[:0]])
+    resting = np.concatenate([rest - rest.mean() for rest in motion.resting()] or [error[:0]])
     if resting.size and float(np.mean(resting**2)) > _MOST**2 * float(error.var()):
         return "it is as large at rest: look for an offset of the amplifier that drifts, and for vibration"
     # The law answers to the rate of a force that is locked to x, which has the other sign on the way back.
@@ -344,11 +343,6 @@ def _strongest(tried: Array, spectrum: Array, low: float, high: float) -> Line:
 def _ascending(x: Array, values: Array) -> tuple[Array, Array]:
     order = np.argsort(x, kind="stable")
     return x[order], values[order]
-
-
-def _coherent(along: Array, error: Array, near: float) -> Line:
-    """The line in ``error`` (n,) that best keeps its phase over ``along`` (n,), within `_AROUND` of ``near``."""
-    return _strongest(*_spectrum(along, error, near), (1.0 - _AROUND) * near, (1.0 + _AROUND) * near)
 
 
 def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bool:

@@ -83,6 +83,7 @@ class BagEvaluation:
     stamps: Stamps  # (n,) ns, the run's different samples in the bag, in order; those of the record are among them
     amplifier_on: NDArray[np.bool_]  # (n,) for the same samples
     parameters: Mapping[str, Mapping[str, Any]]  # of the recorded nodes, by node and dotted name; empty without any
+    encoder: EncoderRun  # as the encoder saw the stage move
     map: StraightnessMap | None = None  # of the attached survey
     stalls: tuple[Stall, ...] = ()  # when the host failed the loop, on the clock of the record
     begin_ns: int = 0  # stamp of the first sample of the record
@@ -94,7 +95,6 @@ class BagEvaluation:
     read: NDArray[np.bool_] | bool = True  # (m,) at which of them it read: between them is interpolation
     # Stamps in ns of the driver's records that have a latency, as many.
     latency_stamps: Stamps = field(default_factory=lambda: np.empty(0, np.int64))
-    encoder: EncoderRun | None = None  # as the encoder saw the stage move; None for a run that was not recorded
     # (n,) m, r − y of its samples, NaN where r is not known.
     seen_error: Array = field(default_factory=lambda: np.empty(0))
     reports: Mapping[str, Sequence[Report]] = field(default_factory=dict)  # each node's diagnostics
@@ -105,12 +105,7 @@ class BagEvaluation:
     @property
     def expected_samples(self) -> int:
         """Samples that the clock took from the run's first to its last in the bag."""
-        return samples_taken(self.stamps, self.pauses)
-
-    @property
-    def pauses(self) -> Stamps:
-        """Stamps (p,) in ns of the last sample before each pause of the recording."""
-        return self.encoder.pauses if self.encoder else np.empty(0, np.int64)
+        return samples_taken(self.stamps, self.encoder.pauses)
 
     @property
     def received_samples(self) -> int:
@@ -152,8 +147,7 @@ class BagEvaluation:
             return Verdict(CLOCK_JUMPED, f"{self.clock_jump}; {remedy}")
         if self.lost_files:
             return Verdict(INTERRUPTED, f"{self.lost_files} could not be recovered; the figures are those of the rest")
-        of_run = self.encoder
-        if reason := of_run.interruption(self.faults, begin_ns, until_ns, self.begin_ns) if of_run else "":
+        if reason := self.encoder.interruption(self.faults, begin_ns, until_ns, self.begin_ns):
             return Verdict(INTERRUPTED, f"{reason}; the figures are those of a part of the motion")
         if reason := self._unjudged_harm(begin_ns, until_ns):
             return Verdict(STARVED, f"the computer was busy: {reason}")
@@ -163,8 +157,6 @@ class BagEvaluation:
     def _too_little(self, begin_ns: int, until_ns: int) -> str:
         """That less than half of the travel is in the record: in its gaps the error is not known, and of a stream that
         is thinner than the encoder's it is another one. Empty if the record has more."""
-        if self.encoder is None:
-            return ""
         stamps = self._record_stamps
         moving = self.encoder.moving(begin_ns, until_ns)[np.searchsorted(self.encoder.stamps, stamps)]
         travelled = np.abs(np.diff(self.record.x))[moving[:-1] & moving[1:]]
@@ -181,7 +173,7 @@ class BagEvaluation:
     def _unjudged_harm(self, begin_ns: int, until_ns: int) -> str:
         """How the samples in motion that are not in the record, for want of reference, command or truth, enlarge the
         error as the encoders see it; empty if they do not."""
-        if self.encoder is None or not self.seen_error.size:
+        if not self.seen_error.size:
             return ""
         stamps = self.encoder.stamps
         moving = self.encoder.moving(begin_ns, until_ns) & np.isfinite(self.seen_error)

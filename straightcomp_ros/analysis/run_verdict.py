@@ -72,6 +72,13 @@ def judged_motion(
     that is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
     :func:`late_commands`, ``sensor`` the readings (n,) in m of the guide's deviation by a displacement sensor at the
     record's samples, up to a constant, NaN where it has none. MetricsError if the stage does not move."""
+
+    def promise() -> Promise | None:
+        # Only here: it loads what simulates a stroke, which most runs do not need.
+        from straightcomp_ros.offline.promise import promise_of
+
+        return promise_of(record, parameters, straightness)
+
     run = record.moving
     truth, seen, first, last = run.true_error(reference), run.r - run.y, run.time[0], run.time[-1]
     return JudgedMotion(
@@ -86,7 +93,7 @@ def judged_motion(
         unseen=truth is not None and float(seen.std()) < _SEEN * float(truth.std()),
         fit=_guide_fit(record, reference, straightness, sensor),
         stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
-        promise=lambda: _promise(record, parameters, straightness),
+        promise=promise,
         **bounds_of(parameters, straightness),
         late="" if latency is None else late_commands(latency, parameters.get("driver", {})),
     )
@@ -121,15 +128,6 @@ def late_commands(latency: Array, driver: Mapping[str, Any]) -> str:
         "describe the delay that is measured, and design the gains for it, or make the loop faster (composed, "
         "realtime.priority)"
     )
-
-
-def _promise(
-    record: StrokeRecord, parameters: Mapping[str, Mapping[str, Any]], straightness: StraightnessMap | None
-) -> Promise | None:
-    # Only here: it loads what simulates a stroke, which most runs do not need.
-    from straightcomp_ros.offline.promise import promise_of
-
-    return promise_of(record, parameters, straightness)
 
 
 def _guide_fit(
@@ -284,13 +282,13 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         found, allowed = line
         amplitude = f"with an amplitude of {_um(found.amplitude)}, {error}; allowed: {_um(allowed)}"
         at = causes.Line(found.amplitude, found.frequency)
-        if of_mains := causes.mains(motion.time, motion.error, at, motion.resting()):
+        if of_mains := causes.mains(motion, at):
             return Verdict(
                 words.MAINS,
                 f"the mains' hum of {of_mains.at:.1f} Hz moves the platform {amplitude}; it is there at every "
                 "speed; look at the grounding and the shields of amplifier and encoder",
             )
-        if waves := causes.locked_to_x(motion.time, motion.x, motion.error, motion.strokes):
+        if waves := causes.locked_to_x(motion):
             return Verdict(
                 words.LOCKED_TO_X,
                 f"the error has a wave every {1e3 / waves.at:.3g} mm of x {amplitude}; it is at the same places in "
@@ -396,16 +394,11 @@ def _inaccurate(motion: JudgedMotion) -> str:
 def _cause(motion: JudgedMotion) -> str:
     if motion.unseen:
         return "the encoder of y hardly shows it: it is the encoder's own, between its counts (interpolation)"
-    return (
-        _cable(motion)
-        or _more_friction(motion)
-        or causes.of_error(motion.time, motion.x, motion.r, motion.error, motion.strokes, motion.resting())
-    )
+    return _cable(motion) or _more_friction(motion) or causes.of_error(motion)
 
 
 def _cable(motion: JudgedMotion) -> str:
-    columns = motion.time, motion.y, motion.r, motion.current, motion.error
-    found = motion.current_stiffness * causes.dragging(*columns, motion.strokes)
+    found = motion.current_stiffness * causes.dragging(motion)
     if not found:
         return ""
     return (

@@ -175,15 +175,6 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
     return found, list(listed) if len(listed) > len(found) else _gaps(found)
 
 
-def bag_files(bag: Path) -> list[Path]:
-    """The first of what :func:`found_files` returns. Raises BagError when a file is missing, too."""
-    files, missing = found_files(bag)
-    if missing:
-        rest = ", or save what is there with `straightcomp recover`" if files[0].suffix == ".mcap" else ""
-        raise BagError(f"bag {bag} lacks {', '.join(missing)}; copy the whole folder again{rest}")
-    return files
-
-
 def compressed_messages(compression: str) -> str:
     """What is wrong with a bag of `ros2 bag record --compression-mode message`, and what helps."""
     return f"each of its messages is compressed ({compression}); unpack them with `ros2 bag convert`"
@@ -261,10 +252,13 @@ def _gaps(files: Sequence[Path]) -> list[str]:
 def opened(bag: Path) -> Iterator[Sequence[BagInput]]:
     """The files of a bag, open. Raises BagError when there is none, one of several is missing, or one is no MCAP file;
     warns (UserWarning) when the bag was not finished, or as :func:`found_files`."""
+    paths, missing = found_files(bag)
+    if missing:
+        rest = ", or save what is there with `straightcomp recover`" if paths[0].suffix == ".mcap" else ""
+        raise BagError(f"bag {bag} lacks {', '.join(missing)}; copy the whole folder again{rest}")
     with ExitStack() as stack:
         files: list[BagInput] = [
-            SqliteInput(path) if path.suffix == ".db3" else stack.enter_context(McapInput(path))
-            for path in bag_files(bag)
+            SqliteInput(path) if path.suffix == ".db3" else stack.enter_context(McapInput(path)) for path in paths
         ]
         for file in files:
             if not file.finished:

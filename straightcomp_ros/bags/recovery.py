@@ -7,7 +7,8 @@ sound chunk, wherever it starts.
 
 import shutil
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -61,7 +62,7 @@ class Recovery:
         unfinished: names of the files that the recording did not finish, or whose end is damaged.
         lost_files: names of the files that are missing, or cannot be read at all.
         not_copied: topics with messages of a further type or encoding, which are not copied: a topic has one.
-        first_ns, last_ns: first and last log time in the new bag, ns since the epoch; None without messages.
+        time_range: first and last log time in the new bag, ns since the epoch; None without messages.
     """
 
     output: Path
@@ -71,8 +72,7 @@ class Recovery:
     unfinished: list[str] = field(default_factory=list)
     lost_files: list[str] = field(default_factory=list)
     not_copied: list[str] = field(default_factory=list)
-    first_ns: int | None = None
-    last_ns: int | None = None
+    time_range: tuple[int, int] | None = None
 
     def lose(self, name: str, size: int, reason: str) -> None:
         """Count a whole file as lost."""
@@ -98,41 +98,35 @@ def recover(
     if paths[0].suffix == ".db3":
         raise BagError(f"bag {bag} is stored as sqlite3; this needs MCAP: `ros2 bag convert`")
     result = Recovery(output)
-    paths = _readable(paths, result)
-    writer = BagWriter(output)
-    try:
-        with writer:
-            for path in paths:
-                with McapInput(path) as file:
-                    _Copy(file, writer, result, since_ns, edit).run()
-            for name in missing_files:
-                result.lose(name, 0, "the file is missing")
-            missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
-            facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
-            facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
-            facts[LOST_FILES] = ", ".join(result.lost_files)
-            writer.add_metadata(RECOVERY_METADATA, facts)
-    except BaseException:
-        # Half a copy would pass as a whole bag, whatever ended it: Ctrl-C too.
-        shutil.rmtree(output)
-        raise
-    return result
-
-
-def _readable(paths: Sequence[Path], result: Recovery) -> list[Path]:
-    """Those of the files that can be opened; the others count as lost in ``result``. Raises BagError when none can."""
-    found, refused = [], []
-    for path in paths:
+    with ExitStack() as stack:
+        files, refused = list[McapInput](), list[BagError]()
+        for path in paths:
+            try:
+                files.append(stack.enter_context(McapInput(path)))
+            except BagError as error:
+                refused.append(error)
+                # What a link that leads nowhere stands for has no size.
+                result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
+        if not files:
+            raise refused[0]
+        writer = BagWriter(output)
         try:
-            with McapInput(path):
-                found.append(path)
-        except BagError as error:
-            refused.append(error)
-            # What a link that leads nowhere stands for has no size.
-            result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
-    if not found:
-        raise refused[0]
-    return found
+            with writer:
+                for file in files:
+                    _Copy(file, writer, result, since_ns, edit).run()
+                for name in missing_files:
+                    result.lose(name, 0, "the file is missing")
+                missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
+                facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
+                facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
+                facts[LOST_FILES] = ", ".join(result.lost_files)
+                writer.add_metadata(RECOVERY_METADATA, facts)
+        except BaseException:
+            # Half a copy would pass as a whole bag, whatever ended it: Ctrl-C too.
+            shutil.rmtree(output)
+            raise
+    result.time_range = writer.finished_files[0].time_range
+    return result
 
 
 class _Copy:
@@ -253,10 +247,7 @@ class _Copy:
         if log_time < self._since_ns:
             return
         self._writer.write(topic, data, log_time, publish_time)
-        result = self._result
-        result.saved[topic] += 1
-        result.first_ns = log_time if result.first_ns is None else min(result.first_ns, log_time)
-        result.last_ns = log_time if result.last_ns is None else max(result.last_ns, log_time)
+        self._result.saved[topic] += 1
 
     def _count_lost(self) -> None:
         result, summary, name = self._result, self._file.summary, self._file.path.name

@@ -42,10 +42,8 @@ def new_typestore() -> Typestore:
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-@cache
-def typestore() -> Typestore:
-    """The message types of ROS 2 Jazzy."""
-    return new_typestore()
+typestore = cache(new_typestore)
+"""The same, to which nothing is added."""
 
 
 @cache

@@ -44,6 +44,7 @@ class BagWriter:
     Attributes:
         path: the file that is being written.
         topics: those that were added, by full name.
+        finished_files: what is in each of the bag's files but the open one.
 
     Raises:
         BagError: the folder holds files or cannot be made; from the methods, that the bag is closed, the topic is
@@ -62,7 +63,7 @@ class BagWriter:
         self.directory = Path(directory)
         self._make_output = partial(McapOutput, compression=compression, chunk_size=chunk_size)
         self._max_size, self._max_duration_ns = max_size, round(max_duration * 1e9)
-        self._finished_files: list[BagFile] = []
+        self.finished_files: list[BagFile] = []
         self._file_began_ns: int | None = None
         self.topics: dict[str, Topic] = {}
         self._channel_ids: dict[str, int] = {}
@@ -93,7 +94,7 @@ class BagWriter:
         self._channel_ids[topic.name] = self._output.add_channel(topic, metadata)
 
     def _open_file(self) -> None:
-        path = self.directory / f"{self.directory.absolute().name}_{len(self._finished_files)}.mcap"
+        path = self.directory / f"{self.directory.absolute().name}_{len(self.finished_files)}.mcap"
         try:
             self._output: McapOutput = self._make_output(path)
         except FileExistsError:
@@ -169,20 +170,17 @@ class BagWriter:
             self._output.add_metadata(name, metadata)
         self._custom_data.update({f"{name}.{key}": value for key, value in metadata.items()})
 
-    def flush(self) -> None:
-        """Write the open chunk, so that killing this process no longer loses it. Small chunks compress badly."""
-        with self._disk(f"bag {self.path} cannot be written"):
-            self._output.flush()
-
     def flush_older(self, age: float) -> None:
-        """Write the open chunk when its first message is ``age`` seconds old; call it often."""
-        if not self._closed and self._output.chunk_age >= age:
-            self.flush()
+        """Write the open chunk when its first message is ``age`` seconds old, so that killing this process no longer
+        loses it; call it often. Small chunks compress badly."""
+        if self._output.chunk_age >= age:
+            with self._disk(f"bag {self.path} cannot be written"):
+                self._output.flush()
 
     def sync_older(self, age: float) -> None:
         """Bring what is written to the disk when the last sync began ``age`` seconds ago, never for 0; call it often,
         from a thread that may wait for the disk."""
-        if not age or self._closed or self._file_finished or time.monotonic() - self._synced < age:
+        if not age or self._file_finished or time.monotonic() - self._synced < age:
             return
         self._synced = time.monotonic()
         with self._disk(f"bag {self.path} cannot be written"):
@@ -228,17 +226,17 @@ class BagWriter:
             self._output.add_attachment("metadata.yaml", "application/yaml", text.encode())
         self._output.finish()
         # No call between these two: Python handles an interrupt at calls only.
-        self._finished_files += [file]
+        self.finished_files += [file]
         self._file_finished = True  # and stays so when the next one cannot be opened
         self._output.close()
 
     def _finish_bag(self) -> None:
         # A folder with metadata.yaml is a finished bag: all else must be on the disk before.
-        for file in self._finished_files:
+        for file in self.finished_files:
             with open(self.directory / file.name, "rb") as written:
                 os.fsync(written.fileno())
         sync_names(self.directory)
-        information = bag_information(self._finished_files, self.topics.values(), self._custom_data)
+        information = bag_information(self.finished_files, self.topics.values(), self._custom_data)
         write_whole(self.directory / "metadata.yaml", as_yaml({ROOT_KEY: information}))
 
     def _check_open(self) -> None:

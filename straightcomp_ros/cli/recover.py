@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
         "unfinished": result.unfinished,
         "gaps": [dict(zip(("file", "offset", "bytes", "reason"), gap, strict=True)) for gap in result.gaps],
         "not_copied": result.not_copied,
-        "duration_s": None if result.last_ns is None else (result.last_ns - result.first_ns) * 1e-9,
+        "duration_s": None if result.time_range is None else (result.time_range[1] - result.time_range[0]) * 1e-9,
     }
     if options.json:
         print_json(figures)

@@ -225,12 +225,13 @@ def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
 
     whole = recover(bag, copy, edit=edit)
     left_out += [f"bag: {name} was not finished, what had not reached the disk is lost" for name in whole.unfinished]
-    if whole.last_ns is None or whole.first_ns is None or not last:
+    if whole.time_range is None or not last:
         return copy
-    since = _law_start(copy, whole.last_ns - round(last * 1e9), round(_FARTHEST * last * 1e9))
-    if since <= whole.first_ns:
+    first_ns, last_ns = whole.time_range
+    since = _law_start(copy, last_ns - round(last * 1e9), round(_FARTHEST * last * 1e9))
+    if since <= first_ns:
         return copy
-    kept, gone = ((end - begin) * 1e-9 for begin, end in ((since, whole.last_ns), (whole.first_ns, since)))
+    kept, gone = ((end - begin) * 1e-9 for begin, end in ((since, last_ns), (first_ns, since)))
     left_out.append(f"bag: the first {gone:.1f} s; the last {kept:.1f} s are there")
     (place / "last").mkdir()
     recover(copy, place / "last" / BAG, since_ns=since)

@@ -12,7 +12,6 @@ from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, encoder_count
 from straightcomp_ros.analysis.judged_motion import bounds_of as all_bounds
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
-from straightcomp_ros.analysis.record import Stroke
 from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
 from straightcomp_ros.stage.description import StageParameters
@@ -430,6 +429,5 @@ def test_a_force_that_turns_round_with_the_travel_is_the_cables_and_no_other(ver
 def test_a_force_is_not_called_a_cables_where_the_platform_moves_one_way_with_the_stage(waves, found):
     there_and_back = 1.0 - np.abs(TIME - 4.0) / 4.0
     r, ways = 10e-6 * np.sin(2.0 * np.pi * waves * there_and_back), np.where(TIME < 4.0, 1.0, -1.0)
-    strokes = [Stroke(0, 8000, "forward"), Stroke(8000, 16_000, "backward")]
     error = SMALL + np.where(np.isin(EVERY % 8000, range(100)), 2e-6, 0.0)
-    assert dragging(TIME, r - error, r, 0.05 * ways, error, strokes) == pytest.approx(found, abs=1e-3)
+    assert dragging(motion(error, r, x=there_and_back, current=0.05 * ways)) == pytest.approx(found, abs=1e-3)

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import Field, read_field
-from straightcomp_ros.bags.folder import bag_files
+from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
@@ -184,7 +184,7 @@ def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_pat
             for message in messages(count):
                 bag.write(*message)
                 if message.topic == f"/{STREAMS[-1].topic}":
-                    bag.flush()
+                    bag.flush_older(0.0)
 
         write(10)
         tracemalloc.start()
@@ -256,7 +256,7 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
     bag = BagWriter(tmp_path / "bag", compression="none", chunk_size=50_000)
     add_streams(bag)
     write(bag, kept)
-    bag.flush()
+    bag.flush_older(0.0)
     bag._output._file = SmallDisk(bag._output._file, bag.path.stat().st_size + 40_000)
     with pytest.raises(BagError, match="cannot be written: No space left on device; free space"):
         write(bag, rest)
@@ -300,7 +300,7 @@ def test_a_bag_is_split_by_duration_listed_as_rosbag2_does_and_read_whole_by_oth
     bag, written = three_files.directory, three_files.messages
     found, names = information(bag), [f"split_{number}.mcap" for number in range(3)]
     assert found["relative_file_paths"] == [entry["path"] for entry in found["files"]] == names
-    assert [file.name for file in bag_files(bag)] == names
+    assert [file.name for file in found_files(bag)[0]] == names
     assert sum(entry["message_count"] for entry in found["files"]) == found["message_count"] == len(written)
     assert all(entry["duration"]["nanoseconds"] < 0.2e9 for entry in found["files"])
     times = [message.log_time for message in written]
@@ -329,12 +329,13 @@ def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_on
             bag.write("/late", data, 2 * day, 2 * day)
         found = information(tmp_path / name)
         counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
-        assert len(found["files"]) == len(bag_files(tmp_path / name)) == files and counts == {"/always": 3, "/late": 1}
+        assert len(found["files"]) == len(found_files(tmp_path / name)[0]) == files
+        assert counts == {"/always": 3, "/late": 1}
 
 
 def test_a_bag_is_split_by_size(record):
     recording = record(COUNT, "large", max_size=60_000, chunk_size=20_000, compression="none")
-    *full, _ = [file.stat().st_size for file in bag_files(recording.directory)]
+    *full, _ = [file.stat().st_size for file in found_files(recording.directory)[0]]
     # The chunk that made it so, its index, and the file's own end.
     assert len(full) > 2 and all(60_000 <= size < 110_000 for size in full)
 
@@ -369,7 +370,7 @@ def test_the_last_file_of_a_killed_recording_may_be_cut_off_or_empty(split, tmp_
     result = recover(split, tmp_path / "saved")
     assert result.unfinished == ["split_2.mcap"]
     assert result.saved["/encoder"] == len(stream)
-    assert len(bag_files(tmp_path / "saved")) == 1
+    assert len(found_files(tmp_path / "saved")[0]) == 1
     last.write_bytes(b"")
     assert len(read_streams(split, LAYOUTS)["encoder"]) == 800
 
