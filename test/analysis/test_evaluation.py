@@ -1,18 +1,14 @@
 """A bag's streams put together by their stamps: the run, its counts, its delays."""
 
-import dataclasses
 import math
-from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from bag_of_rows import bag_of_rows
+from bag_of_rows import REPORT, bag_of, bag_of_rows, packed, report
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
-from straightcomp_ros.bags.topics import typestore
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 
 START_NS, PERIOD_NS = 1_700_000_000_000_000_000, 500_000
@@ -31,15 +27,20 @@ def sample(number):
     }
 
 
-def recorded(path, without=(), left_out=None, drift=0.0, again=(), order=range(COUNT), rate=None):
-    """A bag of COUNT samples; ``left_out`` gives for a stream the samples that it lacks."""
-    rows = (
+def rows_of(without=(), left_out=None, drift=0.0, again=(), order=range(COUNT)):
+    """COUNT samples; ``left_out`` gives for a stream the samples that it lacks."""
+    return (
         (stream, START_NS + round(number * PERIOD_NS * (1.0 + drift)), numbers)
         for number in [*order, *again]
         for stream, numbers in sample(number).items()
         if stream not in without and number not in (left_out or {}).get(stream, ())
     )
-    return bag_of_rows(path, rows, "" if rate is None else f"/driver: {{ros__parameters: {{stage.rate: {rate}}}}}")
+
+
+def recorded(path, rate=None, **changes):
+    """A bag of the samples, as of :func:`rows_of`."""
+    parameters = "" if rate is None else f"/driver: {{ros__parameters: {{stage.rate: {rate}}}}}"
+    return bag_of_rows(path, rows_of(**changes), parameters)
 
 
 def test_the_run_begins_when_the_amplifier_is_switched_on_and_has_every_stream(tmp_path):
@@ -124,29 +125,13 @@ def test_streams_that_belong_to_different_runs_are_refused(tmp_path):
         evaluate_bag(recorded(tmp_path / "bag", left_out=left_out))
 
 
-KIND = "diagnostic_msgs/msg/DiagnosticArray"
-
-
-def report(node, stamp):
-    """The diagnostics of a node with a fault, as CDR."""
-    types = typestore().types
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9)), "")
-    error = types["diagnostic_msgs/msg/KeyValue"]("error", f"tripped: by {node}")
-    status = types["diagnostic_msgs/msg/DiagnosticStatus"](2, node, "", "", [error])
-    return bytes(typestore().serialize_cdr(types[KIND](header, [status]), KIND))
-
-
 @pytest.mark.parametrize("in_each", [False, True], ids=["now", "in 0.1"])
 def test_faults_are_those_that_nodes_in_the_namespace_of_the_encoder_report(tmp_path, in_each):
-    rows = [
-        (dataclasses.replace(stream, topic=f"line_3/{stream.topic}"), START_NS + number * PERIOD_NS, numbers)
-        for number in range(COUNT)
-        for stream, numbers in sample(number).items()
-    ]
+    samples = [(f"/line_3{topic}", *message) for topic, *message in packed(rows_of())]
+    end, reports = START_NS + COUNT * PERIOD_NS, []
     for line in ("line_3", "line_4"):
-        made = {"type_name": KIND, "pack": partial(report, f"{line}/driver")}
-        topic = f"{line}{DIAGNOSTICS}" if in_each else DIAGNOSTICS[1:]
-        rows.append((SimpleNamespace(topic=topic, layout=SimpleNamespace(**made)), START_NS + COUNT * PERIOD_NS, ()))
-    found = evaluate_bag(bag_of_rows(tmp_path / "bag", rows))
+        data = report(f"{line}/driver", end, error=f"tripped: by {line}/driver")
+        reports.append((f"/{line}{DIAGNOSTICS}" if in_each else DIAGNOSTICS, REPORT, data, end, end))
+    found = evaluate_bag(bag_of(tmp_path / "bag", samples + reports))
     assert [fault.reason for fault in found.faults] == ["by line_3/driver"]
     assert found.reports == read_reports(tmp_path / "bag")

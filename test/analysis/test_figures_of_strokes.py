@@ -153,17 +153,7 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
         assert (span.x0, span.x1) == pytest.approx((record.time[stroke.start], record.time[stroke.stop - 1]))
 
 
-@pytest.mark.parametrize("count", [100, 60_007])
-def test_a_thinned_curve_keeps_its_extremes_its_order_and_its_ends_pieces(count):
-    values = np.random.default_rng(count).normal(size=count)
-    values[[count // 3, count // 2]] = 99.0, -99.0
-    kept = report._extremes(values)
-    assert {count // 3, count // 2} <= set(kept.tolist())
-    # However long the record, a page carries some thousand points; a short one is shown whole.
-    assert len(kept) == count if count <= 100 else len(kept) <= 10_000
-
-
-def test_the_curves_of_the_report_are_in_its_units_and_another_run_begins_where_this_one_does(
+def test_the_curves_of_the_report_are_thin_and_in_its_units_and_another_run_begins_where_this_one_does(
     make_record, motion_profile, assessed
 ):
     record = make_record(1e-6 * np.sin(2 * np.pi * 50 * motion_profile[0]), quantum=1e-9)
@@ -173,6 +163,9 @@ def test_the_curves_of_the_report_are_in_its_units_and_another_run_begins_where_
     assert np.ptp(before.y) == pytest.approx(found.metrics.uncompensated_pp * 1e6)
     assert np.ptp(np.concatenate([forward.y, backward.y])) == pytest.approx(found.metrics.residual_pp * 1e6)
     encoder, true, theirs = report._error(found, other).data
+    # However long the record, a page carries some thousand points, with the extremes.
+    assert len(encoder.x) <= 10_000 < len(record.time) and (np.diff(encoder.x) > 0.0).all()
+    assert [encoder.x[0], encoder.x[-1]] == pytest.approx(record.moving.time[[0, -1]].tolist(), abs=0.01)
     assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
     assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)
     assert min(theirs.x) == pytest.approx(min(true.x), abs=0.05) and theirs.name == "b"

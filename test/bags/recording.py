@@ -86,7 +86,7 @@ def add_streams(bag: BagWriter) -> None:
         bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos(reliability="best_effort")))
 
 
-def recorded(folder: Path, count: int, **options: Any) -> Recording:
+def recorded(folder: Path, count: int = 50, **options: Any) -> Recording:
     """``count`` cycles of all streams in a new bag."""
     written = messages(count)
     with BagWriter(folder, **options) as bag:

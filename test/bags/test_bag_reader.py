@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording import LAYOUTS, START_NS
-from rosbags.typesys import Stores, get_typestore
+from bag_of_rows import STORE, bag_of, header
+from recording import LAYOUTS, START_NS, recorded
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags import reader as columns
@@ -15,7 +15,6 @@ from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, ENCODER, STREAMS
 from straightcomp_ros.messages.cdr import joint_state, read_by_names
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ENCODER_ONLY = {"encoder": ENCODER.layout}
 
@@ -27,18 +26,13 @@ def bits(values) -> list[int]:
 
 def joint_state_bytes(names, position=(), effort=(), frame_id="") -> bytes:
     """A JointState as rosbags serialises it."""
-    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(START_NS, 1_000_000_000))
-    header = STORE.types["std_msgs/msg/Header"](time, frame_id)
     arrays = (np.array(values, np.float64) for values in (position, (), effort))
-    return bytes(STORE.serialize_cdr(STORE.types[JOINT_STATE](header, list(names), *arrays), JOINT_STATE))
+    message = STORE.types[JOINT_STATE](header(START_NS, frame_id), list(names), *arrays)
+    return bytes(STORE.serialize_cdr(message, JOINT_STATE))
 
 
 def encoder_bag(directory: Path, *contents: bytes, topic: str = "/encoder", published: int = START_NS) -> Path:
-    with BagWriter(directory) as bag:
-        bag.add(Topic(topic, JOINT_STATE))
-        for number, content in enumerate(contents):
-            bag.write(topic, content, START_NS + number, published)
-    return directory
+    return bag_of(directory, ((topic, JOINT_STATE, one, START_NS + k, published) for k, one in enumerate(contents)))
 
 
 @pytest.fixture
@@ -55,8 +49,8 @@ def without_layouts(monkeypatch):
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(record, compression, without_layouts):
-    bag = record(count=300, compression=compression, chunk_size=9000)
+def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(tmp_path, compression, without_layouts):
+    bag = recorded(tmp_path / "run", 300, compression=compression, chunk_size=9000)
     streams = read_streams(bag.directory, LAYOUTS)
     assert list(streams) == list(LAYOUTS)
     assert not without_layouts
@@ -119,10 +113,8 @@ def test_garbage_in_alignment_gaps_changes_nothing(tmp_path, stream, without_lay
     assert len(gaps) > 0
     dirty = np.frombuffer(clean, np.uint8).copy()
     dirty[gaps] = np.random.default_rng(1).integers(1, 255, len(gaps))
-    with BagWriter(tmp_path / "bag") as bag:
-        bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
-        for content in (clean, dirty.tobytes()):
-            bag.write(f"/{stream.topic}", content, START_NS, START_NS)
+    of_topic = f"/{stream.topic}", stream.layout.type_name
+    bag_of(tmp_path / "bag", ((*of_topic, content, START_NS, START_NS) for content in (clean, dirty.tobytes())))
     found = read_streams(tmp_path / "bag", LAYOUTS)[stream.topic]
     assert [values.tolist() for values in found.columns.values()] == [
         [float(index)] * 2 for index in range(len(stream.layout.columns))

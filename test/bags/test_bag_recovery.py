@@ -5,16 +5,16 @@ import time
 from pathlib import Path
 
 import pytest
+from bag_of_rows import bag_of
 from mcap.opcode import Opcode
 from places import SMC
-from recording import MAGIC, START_NS, add_streams, described, mcap_of, records
+from recording import MAGIC, START_NS, add_streams, described, mcap_of, recorded, records
 from rosbags.rosbag2 import Reader
 from tiers import nightly
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_attachments, read_metadata
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
-from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli import Terminated
 from straightcomp_ros.contract import ENCODER
@@ -30,8 +30,8 @@ def written(bag) -> list[tuple[str, int, bytes]]:
     return sorted((message.topic, message.log_time, message.data) for message in bag.messages)
 
 
-def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata_and_is_not_changed(record, tmp_path):
-    bag = record()
+def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata_and_is_not_changed(tmp_path):
+    bag = recorded(tmp_path / "run")
     before = {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in bag.directory.iterdir()}
     result = recover(bag.directory, tmp_path / "new")
     with pytest.raises(BagError, match="not empty"):
@@ -49,8 +49,8 @@ def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata_and_is_not_c
             assert before.ext.offered_qos_profiles == after.ext.offered_qos_profiles
 
 
-def test_a_damaged_chunk_costs_its_own_messages_only_and_they_are_counted(record, tmp_path):
-    bag = record(count=60, chunk_size=6000)
+def test_a_damaged_chunk_costs_its_own_messages_only_and_they_are_counted(tmp_path):
+    bag = recorded(tmp_path / "run", 60, chunk_size=6000)
     content = bytearray(bag.file.read_bytes())
     offsets = records(content, Opcode.CHUNK)
     # Data of the first chunk, and the length of the fourth: behind that nothing is where it is expected.
@@ -66,11 +66,8 @@ def test_a_damaged_chunk_costs_its_own_messages_only_and_they_are_counted(record
 
 
 def test_a_topic_whose_messages_are_all_lost_is_still_announced(tmp_path):
-    with BagWriter(tmp_path / "bag", chunk_size=1) as bag:
-        for topic in ("/once", "/often"):
-            bag.add(Topic(topic, ENCODER.layout.type_name))
-        for stamp, topic in enumerate(("/once", "/often", "/often")):
-            bag.write(topic, ENCODER.layout.pack(stamp, 0.0, 0.0, 0.0, 0.0), stamp, stamp)
+    one = ENCODER.layout.type_name, ENCODER.layout.pack(0, 0.0, 0.0, 0.0, 0.0), 0, 0
+    bag_of(tmp_path / "bag", ((topic, *one) for topic in ("/once", "/often", "/often")), chunk_size=1)
     (file,) = (tmp_path / "bag").glob("*.mcap")
     content = bytearray(file.read_bytes())
     content[records(content, Opcode.CHUNK)[0] + 60] ^= 0xFF
@@ -83,8 +80,8 @@ def test_a_topic_whose_messages_are_all_lost_is_still_announced(tmp_path):
 
 @pytest.mark.no_cover  # the others reach the same, and it takes three times as long under coverage
 @pytest.mark.parametrize("compression", ["zstd", "none"])
-def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(record, tmp_path, compression):
-    bag = record(count=30, compression=compression, chunk_size=3000)
+def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(tmp_path, compression):
+    bag = recorded(tmp_path / "run", 30, compression=compression, chunk_size=3000)
     content, every = bag.file.read_bytes(), set(written(bag))
     source = random.Random(3)
     for number in range(40):
@@ -99,20 +96,19 @@ def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(record, tmp_p
 
 def split_run(folder: Path, parts: int) -> list[Path]:
     """The messages of a sound run in order, in several files."""
-    found = contents(SMC)
-    found.sort(key=lambda one: one[1])
     with Reader(SMC) as reader:
-        types = {connection.topic: connection.msgtype for connection in reader.connections}
-    size, files = -(-len(found) // parts), []
-    for number in range(parts):
-        with BagWriter(folder.with_name(f"part_{number}")) as bag:
-            for topic, type_name in types.items():
-                bag.add(Topic(topic, type_name))
-            for topic, time_ns, data in found[number * size : (number + 1) * size]:
-                bag.write(topic, data, time_ns, time_ns)
-        folder.mkdir(exist_ok=True)
-        files.append(bag.path.rename(folder / f"run_{number}.mcap"))
+        found = [(one.topic, one.msgtype, bytes(data), time, time) for one, time, data in reader.messages()]
+    folder.mkdir()
+    size, files = -(-len(found) // parts), [folder / f"run_{number}.mcap" for number in range(parts)]
+    for number, file in enumerate(files):
+        file_of(folder.with_name(f"part_{number}"), found[number * size : (number + 1) * size]).rename(file)
     return files
+
+
+def file_of(folder: Path, messages: list[tuple]) -> Path:
+    """The only file of a bag of these messages."""
+    (file,) = bag_of(folder, messages).glob("*.mcap")
+    return file
 
 
 @pytest.mark.parametrize("lost", [0, 1, 3])
@@ -134,18 +130,16 @@ def test_a_file_that_cannot_be_read_costs_its_own_messages_and_the_copy_is_no_wh
 
 def test_where_the_copying_ends_no_half_copy_is_left(tmp_path):
     files = split_run(tmp_path / "run", 2)
-    with BagWriter(tmp_path / "packed") as bag:
-        bag.add(Topic("/encoder", ENCODER.layout.type_name))
-        bag.write("/encoder", b"\x28\xb5\x2f\xfd" + bytes(50), 1, 1)
-    bag.path.rename(files[1])
+    one = "/encoder", ENCODER.layout.type_name, b"\x28\xb5\x2f\xfd" + bytes(50), 1, 1
+    file_of(tmp_path / "packed", [one]).rename(files[1])
     with pytest.raises(BagError, match="compressed"):
         recover(tmp_path / "run", tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated, OSError, ZeroDivisionError])
-def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path, record, stop):
-    bag, before = record(), {path.name for path in tmp_path.iterdir()}
+def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path, stop):
+    bag, before = recorded(tmp_path / "run"), {path.name for path in tmp_path.iterdir()}
 
     def edit(name, data):
         raise stop
@@ -167,8 +161,8 @@ def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
     assert sizes[0] == sizes[1] < sizes[2]
 
 
-def test_the_command_prints_what_was_saved_and_lost(record, verb):
-    bag = record()
+def test_the_command_prints_what_was_saved_and_lost(tmp_path, verb):
+    bag = recorded(tmp_path / "run")
     figures = verb("recover", bag.directory, "--json").json
     assert figures["saved_messages"] == len(bag.messages) and figures["lost_messages"] == 0
     assert figures["output"] == str(bag.directory.with_name("run_recovered"))

@@ -33,8 +33,8 @@ COMPRESSIONS = ("zstd", "lz4", "none")
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_rosbags_and_mcap_find_every_message_with_its_times_type_and_qos(record, compression):
-    bag = record(compression=compression, chunk_size=4096)
+def test_rosbags_and_mcap_find_every_message_with_its_times_type_and_qos(tmp_path, compression):
+    bag = recorded(tmp_path / "run", compression=compression, chunk_size=4096)
     with Reader(bag.directory) as reader:
         found = [(connection.topic, data, time) for connection, time, data in reader.messages()]
         assert reader.message_count == len(bag.messages)
@@ -62,8 +62,8 @@ def test_rosbags_and_mcap_find_every_message_with_its_times_type_and_qos(record,
     assert statistics.chunk_count == chunks > 1
 
 
-def test_metadata_yaml_has_the_fields_of_version_9(record):
-    bag = record()
+def test_metadata_yaml_has_the_fields_of_version_9(tmp_path):
+    bag = recorded(tmp_path / "run")
     text = (bag.directory / "metadata.yaml").read_text()
     first = min(message.log_time for message in bag.messages)
     span = {
@@ -195,7 +195,7 @@ def test_a_chunk_that_is_written_stays_in_memory_as_its_index_entry_only(tmp_pat
     assert after - before < 2.0 * chunks * entry
 
 
-def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made_and_is_closed_once(record, tmp_path):
+def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made_and_is_closed_once(tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "year" / "day" / "run"):
         bag = BagWriter(folder)
@@ -204,7 +204,7 @@ def test_a_folder_becomes_a_bag_where_it_is_empty_or_can_be_made_and_is_closed_o
         before = bag.path.read_bytes()
         bag.close()
         assert bag.path.read_bytes() == before and read_attachments(folder) == {"map.csv": b""}
-    bag = record()
+    bag = recorded(tmp_path / "run")
     before = bag.file.read_bytes()
     with pytest.raises(BagError, match="not empty"):
         BagWriter(bag.directory)
@@ -333,8 +333,8 @@ def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_on
         assert counts == {"/always": 3, "/late": 1}
 
 
-def test_a_bag_is_split_by_size(record):
-    recording = record(COUNT, "large", max_size=60_000, chunk_size=20_000, compression="none")
+def test_a_bag_is_split_by_size(tmp_path):
+    recording = recorded(tmp_path / "large", COUNT, max_size=60_000, chunk_size=20_000, compression="none")
     *full, _ = [file.stat().st_size for file in found_files(recording.directory)[0]]
     # The chunk that made it so, its index, and the file's own end.
     assert len(full) > 2 and all(60_000 <= size < 110_000 for size in full)

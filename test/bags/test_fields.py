@@ -2,42 +2,25 @@
 
 import numpy as np
 import pytest
-from rosbags.typesys import Stores, get_typestore
+from bag_of_rows import REPORT, STORE, bag_of, bag_of_rows, header, report
 
 from straightcomp_ros.bags import BagError, fields
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.recorded_nodes import read_reports
-from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, ENCODER
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 T = STORE.types
 START_NS = 1_700_000_123_000_000_456
 COUNT = 5
 
 
-def header(ns):
-    return T["std_msgs/msg/Header"](T["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "probe")
-
-
-def bag_of(folder, topic, type_name, messages, encoder=None):
-    """A bag with these messages on a topic, each with its times of reception and of sending."""
-    with BagWriter(folder) as bag:
-        if encoder:
-            bag.add(Topic(encoder, ENCODER.layout.type_name))
-            bag.write(encoder, ENCODER.layout.pack(1, *[0.0] * len(ENCODER.layout.columns)), 1, 1)
-        bag.add(Topic(topic, type_name))
-        for message in messages:
-            bag.write(topic, *message)
-    return folder
-
-
 def written(path, type_name, make):
     """A bag with COUNT messages on /probe, made half a second before they were sent, a millisecond apart."""
-    serialised = (STORE.serialize_cdr(make(number, header(stamp)), type_name) for number, stamp in enumerate(stamps()))
-    messages = [(bytes(one), ns + 600_000_000, ns + 500_000_000) for one, ns in zip(serialised, stamps(), strict=True)]
-    return bag_of(path, "/probe", type_name, messages)
+    messages = []
+    for number, ns in enumerate(stamps()):
+        data = bytes(STORE.serialize_cdr(make(number, header(ns)), type_name))
+        messages.append(("/probe", type_name, data, ns + 600_000_000, ns + 500_000_000))
+    return bag_of(path, messages)
 
 
 def stamps(late_ns=0):
@@ -74,7 +57,7 @@ def test_a_message_has_the_stamp_of_its_header_or_else_the_time_of_sending(tmp_p
 def test_a_time_of_sending_beyond_the_epochs_is_refused_where_no_header_has_another(tmp_path, time_ns):
     for type_name, make in (("geometry_msgs/msg/PointStamped", point), ("std_msgs/msg/Float64", plain)):
         data = bytes(STORE.serialize_cdr(make(1, header(START_NS)), type_name))
-        bag_of(tmp_path / make.__name__, "/probe", type_name, [(data, START_NS, time_ns)])
+        bag_of(tmp_path / make.__name__, [("/probe", type_name, data, START_NS, time_ns)])
     assert read_field(tmp_path / "point", Field("probe", "point.y")).stamp.tolist() == [START_NS]
     with pytest.raises(BagError, match=f"'/probe', message 0.*{time_ns}"):
         read_field(tmp_path / "plain", Field("probe", "data"))
@@ -114,8 +97,7 @@ def test_our_own_streams_are_read_as_columns(tmp_path, stream, path, monkeypatch
     layout = stream.layout
     place = [f"{array}[{joint}]" for array, joint in layout.places].index(path)
     values = [[float(10 * column + number) for column in range(len(layout.columns))] for number in range(COUNT)]
-    messages = [(layout.pack(stamp, *row), stamp, stamp) for stamp, row in zip(stamps(), values, strict=True)]
-    bag_of(tmp_path / "bag", f"/{stream.topic}", layout.type_name, messages)
+    bag_of_rows(tmp_path / "bag", ((stream, stamp, row) for stamp, row in zip(stamps(), values, strict=True)))
     found = read_field(tmp_path / "bag", Field(stream.topic, path))
     assert found.stamped and found.stamp.tolist() == stamps()
     assert found.values.tolist() == [10.0 * place + number for number in range(COUNT)]
@@ -129,22 +111,14 @@ def test_what_is_no_field_is_refused_with_an_example(text):
     assert str(Field.parsed("probe:point.y", "data")) == "probe:point.y"
 
 
-KIND = "diagnostic_msgs/msg/DiagnosticArray"
-
-
-def message(node, time_ns, **values):
-    pairs = [T["diagnostic_msgs/msg/KeyValue"](key, value) for key, value in values.items()]
-    status = T["diagnostic_msgs/msg/DiagnosticStatus"](0, node, "running", "", pairs)
-    return bytes(STORE.serialize_cdr(T[KIND](header(time_ns), [status]), KIND))
-
-
 def reports_of(folder, *messages, topic=DIAGNOSTICS, encoder=None):
-    return read_reports(bag_of(folder, topic, KIND, [(data, 1, 1) for data in messages], encoder))
+    one = () if encoder is None else [(encoder, ENCODER.layout.type_name, ENCODER.layout.pack(1, 0, 0, 0, 0), 1, 1)]
+    return read_reports(bag_of(folder, [*one, *((topic, REPORT, data, 1, 1) for data in messages)]))
 
 
 @pytest.mark.parametrize("topic", [DIAGNOSTICS, f"/line_3{DIAGNOSTICS}"], ids=["now", "in 0.1"])
 def test_each_node_has_its_reports_in_order_and_without_its_namespace(tmp_path, topic):
-    data = [message(f"line_3/{node}", 10**9 * n + 5, t=str(n)) for n in range(3) for node in ("driver", "logger")]
+    data = [report(f"line_3/{node}", 10**9 * n + 5, t=str(n)) for n in range(3) for node in ("driver", "logger")]
     reports = reports_of(tmp_path / "bag", *data, topic=topic)
     assert set(reports) == {"driver", "logger"}
     for node in reports.values():
@@ -152,16 +126,16 @@ def test_each_node_has_its_reports_in_order_and_without_its_namespace(tmp_path, 
 
 
 def test_reports_are_of_the_namespace_whose_encoder_was_recorded(tmp_path):
-    data = [message(name, 5, of=name) for name in ("line_3/driver", "line_4/driver", "driver", "laser: power")]
-    (report,) = reports_of(tmp_path / "bag", *data, encoder="/line_4/encoder")["driver"]
-    assert report.values == {"of": "line_4/driver"}
+    data = [report(name, 5, of=name) for name in ("line_3/driver", "line_4/driver", "driver", "laser: power")]
+    (found,) = reports_of(tmp_path / "bag", *data, encoder="/line_4/encoder")["driver"]
+    assert found.values == {"of": "line_4/driver"}
     assert set(reports_of(tmp_path / "root", *data, encoder="/encoder")) == {"driver", "laser: power"}
     with pytest.raises(BagError, match=r"several namespaces report: driver, laser: power, line_3/driver"):
         reports_of(tmp_path / "none", *data)
 
 
 def test_what_is_no_diagnostics_is_left_out(tmp_path):
-    assert reports_of(tmp_path / "other", topic="/other") == {}
+    assert reports_of(tmp_path / "other", report("driver", 5), topic="/other") == {}
     with pytest.warns(UserWarning, match=r"diagnostics.*does not decode"):
-        found = reports_of(tmp_path / "bag", b"\x00\x01\x00\x00\xff\xff\xff\xff" * 3, message("driver", 5, t="0"))
+        found = reports_of(tmp_path / "bag", b"\x00\x01\x00\x00\xff\xff\xff\xff" * 3, report("driver", 5, t="0"))
     assert set(found) == {"driver"}

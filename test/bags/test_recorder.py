@@ -117,8 +117,11 @@ def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruptio
     assert losses.by_topic()["/d"] == 1
 
 
-def announced(recorder: Recorder) -> None:
-    recorder.announce(Topic("/encoder", ENCODER.layout.type_name, TopicQos()))
+def recorder_in(folder: Path, describe=lambda bag, at_end: None, **options) -> Recorder:
+    """One of the encoder, whose losses it counts."""
+    recorder = Recorder(RecorderParameters(str(folder / "run"), **options), ["/encoder"], describe)
+    recorder.announce(Topic("/encoder", ENCODER.layout.type_name))
+    return recorder
 
 
 def sample(number: int) -> tuple[str, bytes, int, int]:
@@ -128,10 +131,7 @@ def sample(number: int) -> tuple[str, bytes, int, int]:
 
 def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tmp_path):
     described = []
-    recorder = Recorder(
-        RecorderParameters(str(tmp_path / "run")), ["/encoder"], lambda bag, at_end: described.append(at_end)
-    )
-    announced(recorder)
+    recorder = recorder_in(tmp_path, lambda bag, at_end: described.append(at_end))
     recorder.intake.add(*sample(0))
     assert recorder.start() == tmp_path / "run"
     with pytest.raises(BagError, match="being recorded already"):
@@ -146,7 +146,7 @@ def test_a_recorder_makes_one_bag_after_the_other_and_counts_no_pause_as_loss(tm
     assert not recorder.recording
     recorder.intake.add(*sample(100))
     assert recorder.start() == tmp_path / "run_2"
-    recorder.announce(Topic("/late", "std_msgs/msg/Float64", TopicQos()))
+    recorder.announce(Topic("/late", "std_msgs/msg/Float64"))
     recorder.intake.add(*sample(101))
     recorder.intake.add("/late", bytes(12), 10**18, 10**18)
     recorder.stop()
@@ -183,7 +183,7 @@ def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_
     recorder.start()
     recorder.stop()
     recorder.start()
-    announced(recorder)
+    recorder.announce(Topic("/encoder", ENCODER.layout.type_name))
     recorder.intake.add(*sample(0))
     recorder.stop()
 
@@ -197,8 +197,7 @@ def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_
 
 def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):
     check_disk(tmp_path, 1)
-    recorder = Recorder(RecorderParameters(str(tmp_path / "run")), [], lambda bag, at_end: None)
-    announced(recorder)
+    recorder = recorder_in(tmp_path)
     recorder.start()
     recorder.keep_free(10**18)
     recorder._thread.join(30)
@@ -215,8 +214,7 @@ def test_what_waits_when_a_recording_is_stopped_does_not_fill_the_disk(tmp_path)
         looked.set()
         recorder._stopping.wait(30)
 
-    recorder = Recorder(RecorderParameters(str(tmp_path / "run"), queue_limit=1000, min_free_bytes=0), [], describe)
-    announced(recorder)
+    recorder = recorder_in(tmp_path, describe, queue_limit=1000, min_free_bytes=0)
     recorder.start()
     assert looked.wait(30)
     # As a snapshot does.
@@ -233,7 +231,7 @@ def test_what_ends_the_writing_is_raised_when_the_bag_is_finished(tmp_path, word
         if words == "MemoryError":
             raise MemoryError
 
-    recorder = Recorder(RecorderParameters(str(tmp_path / "run"), min_free_bytes=0), [], describe)
+    recorder = recorder_in(tmp_path, describe, min_free_bytes=0)
     recorder.start()
     if words == "MemoryError":
         recorder._thread.join(30)
