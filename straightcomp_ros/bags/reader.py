@@ -152,7 +152,8 @@ class StreamDecoder:
         if not long.all():
             of_layout, messages = messages, np.zeros(len(places), self._dtype)
             messages[long] = of_layout
-        for odd in np.flatnonzero(~self._same_constants(messages)).tolist():
+        others = ~self._same_constants(messages) | (messages["nanosec"] >= NANOSECONDS)
+        for odd in np.flatnonzero(others).tolist():
             stamp, numbers = self._by_names(data[starts[odd] : ends[odd]], odd)
             messages[odd] = np.frombuffer(self._layout.pack(stamp, *numbers), self._dtype)[0]
         stamp = messages["sec"].astype(np.int64) * NANOSECONDS + messages["nanosec"]
