@@ -53,7 +53,7 @@ class Field:
 
 @dataclass(frozen=True)
 class FieldValues:
-    """Stamps (n,) int64 in ns since the epoch, and values (n,) float64 in the unit of the messages.
+    """Stamps (n,) int64 in ns since the epoch, rising, and values (n,) float64 in the unit of the messages.
 
     ``stamped``: whether the stamps are those of the messages' headers; without headers they are the times of sending.
     """
@@ -63,8 +63,7 @@ class FieldValues:
     stamped: bool
 
     def at(self, stamps: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart. Its own
-        stamps must rise."""
+        """Values at ``stamps``, and where they are known: at a sample, or between two that are not far apart."""
         first, last = self.stamp[0], self.stamp[-1]
         place = np.searchsorted(self.stamp[:-1], stamps)
         near = np.diff(self.stamp, prepend=first)[place] <= _LONGEST_GAP_NS
@@ -73,13 +72,13 @@ class FieldValues:
 
 
 def read_field(bag: Path, field: Field) -> FieldValues:
-    """The values of a field in the order of recording. Raises BagError when the bag cannot be read, lacks the topic, or
-    its messages lack the field."""
+    """The values of a field in the order of the stamps, the first of each. Raises BagError when the bag cannot be read,
+    lacks the topic, or its messages lack the field."""
     messages = read_messages(bag, field.topic)
     known = _layout_with(field, messages)
     if known:
         layout, column = known
-        stream = read_streams(bag, {messages.topic: layout})[messages.topic]
+        stream = read_streams(bag, {messages.topic: layout})[messages.topic].by_stamp()
         return FieldValues(stream.stamp, stream.columns[column], True)
     types = _types_of(bag, messages)
     stamp, values = np.empty(len(messages.data), np.int64), np.empty(len(messages.data))
@@ -94,7 +93,8 @@ def read_field(bag: Path, field: Field) -> FieldValues:
         if abs(time_ns) > _LATEST_NS:
             raise BagError(f"{where} is of {time_ns} ns since the epoch; allowed: <= {_LATEST_NS}")
         stamp[place] = time_ns
-    return FieldValues(stamp, values, stamped)
+    stamp, first = np.unique(stamp, return_index=True)
+    return FieldValues(stamp, values[first], stamped)
 
 
 def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:

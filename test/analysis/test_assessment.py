@@ -25,17 +25,22 @@ def test_the_recorded_reference_gives_the_figures_of_the_map(make_record, cosine
         assert value == pytest.approx(of_map[name], abs=1e-4), name
 
 
-def test_gaps_saturation_and_switch_off_are_reported_with_time_and_count(make_record, assessed):
+@pytest.mark.parametrize("before", [0, 1000])
+def test_gaps_saturation_and_switch_off_are_reported_with_count_and_time_from_the_first_sample_with_a_reference(
+    make_record, assessed, before
+):
     record = make_record()
+    every = np.round(record.time * 1e9).astype(np.int64)
+    # So many samples come before the first reference.
+    begin_ns = before * 500_000
+    stamps = np.append(np.arange(before) * 500_000, begin_ns + every)
     current = record.current.copy()
     current[5000:5011] = 0.5
-    on = np.ones(len(record.time), bool)
-    on[7000:7020] = False
+    on = np.ones(stamps.size, bool)
+    on[before + 7000 : before + 7020] = False
     on[-50:] = False
-    stamps = np.round(record.time * 1e9).astype(np.int64)
-    kept = np.ones(len(stamps), bool)
-    kept[9000:9004] = False
-    found = assessed(replace(record, current=current), stamps=stamps[kept], amplifier_on=on[kept])
+    kept = np.delete(np.arange(stamps.size), range(before + 9000, before + 9004))
+    found = assessed(replace(record, current=current), stamps=stamps[kept], amplifier_on=on[kept], begin_ns=begin_ns)
     # From the last sample before the gap to the first one after it.
     assert found.gaps == [pytest.approx((4.4995, 4.502, 4))]
     assert found.saturated == [pytest.approx((2.5, 2.505, 11))]
@@ -46,21 +51,7 @@ def test_gaps_saturation_and_switch_off_are_reported_with_time_and_count(make_re
     assert (figures["longest_gap_s"], figures["saturated_samples"]) == (pytest.approx(2.5e-3), 11)
     assert json.loads(json.dumps(found.as_json()))["gap_intervals"][0]["samples"] == 4
     # An amplifier that was never on is no fault either.
-    assert assessed(record, amplifier_on=on & False).amplifier_off == []
-
-
-def test_times_of_events_are_counted_from_the_first_sample_with_reference_and_command(make_record, assessed):
-    record = make_record()
-    every = np.round(record.time * 1e9).astype(np.int64)
-    # The reference comes 0.5 s after the encoder.
-    stamps = np.append(np.arange(1000) * 500_000, 500_000_000 + every)
-    answered = replace(record, current=np.where(np.arange(every.size) == 5000, 0.5, record.current))
-    on = np.ones(stamps.size, bool)
-    on[6000:6020] = False
-    kept = ~np.isin(np.arange(stamps.size), range(10_000, 10_004))
-    found = assessed(answered, stamps=stamps[kept], amplifier_on=on[kept], begin_ns=500_000_000)
-    assert found.saturated[0].start == found.amplifier_off[0].start == pytest.approx(2.5)
-    assert found.gaps == [pytest.approx((4.4995, 4.502, 4))]
+    assert assessed(record, amplifier_on=np.zeros(every.size, bool)).amplifier_off == []
 
 
 def test_one_movement_that_does_not_settle_leaves_the_median_of_the_others(make_record, assessed, tmp_path):

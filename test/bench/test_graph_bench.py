@@ -14,7 +14,7 @@ from straightcomp_ros.bench.graph_bench import (
     growth_mb_per_hour,
     read_window,
 )
-from straightcomp_ros.contract import DRIVER_STATE, STREAMS
+from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back, reach
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -40,21 +40,18 @@ def test_the_slope_of_the_memory_is_that_of_the_line_through_the_looks():
     assert math.isnan(growth_mb_per_hour(looks[:1])["a"])
 
 
-def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_count(tmp_path):
-    def rows():
-        for k in range(1000):
-            for stream in STREAMS:
-                # Every 10th sample lacks its command, and the last of the window the controller's state.
-                if (stream.topic == "command" and k % 10 == 0) or (stream.topic == "controller_state" and k == 899):
-                    continue
-                state = [k * 1e-6, 0.0, 0.0, float(k >= 300)]
-                yield (
-                    stream,
-                    START + k * PERIOD,
-                    state if stream is DRIVER_STATE else [0.0] * len(stream.layout.columns),
-                )
+def sample(number, period=PERIOD):
+    """A row of each stream; the amplifier is on from sample 300 on."""
+    for stream in STREAMS:
+        state = (number * 1e-6, 0.0, 0.0, float(number >= 300))
+        yield stream, START + number * period, state if stream is DRIVER_STATE else [0.0] * len(stream.layout.columns)
 
-    bag = bag_of_rows(tmp_path / "bag", rows())
+
+def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_count(tmp_path):
+    # Every 10th sample lacks its command, and the last of the window the controller's state.
+    left_out = {COMMAND: range(0, 1000, 10), CONTROLLER_STATE: [899]}
+    rows = (row for k in range(1000) for row in sample(k) if k not in left_out.get(row[0], ()))
+    bag = bag_of_rows(tmp_path / "bag", rows)
     found = read_window(bag, START + 100 * PERIOD, START + 900 * PERIOD)
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
     expected = {"expected_samples": 800, "missing": missing, "complete": False, "amplifier_on": pytest.approx(0.75)}
@@ -68,14 +65,7 @@ def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_co
 
 def test_a_board_with_a_clock_of_its_own_loses_nothing_by_that(tmp_path):
     period = PERIOD + PERIOD // 200
-
-    def rows():
-        for k in range(1000):
-            stamp = START + k * period
-            for stream in STREAMS:
-                yield stream, stamp, [0.0] * len(stream.layout.columns)
-
-    bag = bag_of_rows(tmp_path / "bag", rows())
+    bag = bag_of_rows(tmp_path / "bag", (row for k in range(1000) for row in sample(k, period)))
     found = read_window(bag, START, START + 1000 * period)["bag"]
     assert (found["expected_samples"], found["complete"]) == (1000, True)
 

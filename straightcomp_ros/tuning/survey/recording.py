@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Choices, build
 from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole_ways
-from straightcomp_ros.bags.fields import Field, FieldValues, read_field
+from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import Run, Survey, check_run
@@ -79,12 +79,12 @@ def series_of_bag(bag: Path, stage: Field = STAGE_X, sensor: Sensor = Sensor()) 
         BagError: the bag cannot be read, or lacks a topic or a field.
         SurveyError: stage and sensor were not recorded at the same time.
     """
-    positions, readings = _read(bag, stage), _read(bag, sensor.readings)
+    positions, readings = read_field(bag, stage), read_field(bag, sensor.readings)
     taken_at = readings.stamp - round(sensor.delay * 1e9)
     x, usable = positions.at(taken_at)
     deviation = readings.values / DEVIATION.columns[f"deviation_{sensor.unit}"] * (-1.0 if sensor.inverted else 1.0)
     if sensor.on_platform:
-        y, known = _read(bag, Field(stage.topic, f"position[{PLATFORM}]")).at(taken_at)
+        y, known = read_field(bag, Field(stage.topic, f"position[{PLATFORM}]")).at(taken_at)
         deviation, usable = deviation - y, usable & known
     usable &= np.isfinite(deviation) & np.isfinite(x)
     if np.count_nonzero(usable) < 3:
@@ -132,13 +132,6 @@ def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series 
         return None
     inputs = dict(zip(("stage", "sensor"), table.columns, strict=True))
     return Series(str(path), columns[0] - columns[0, 0], columns[1], columns[2], 0, inputs)
-
-
-def _read(bag: Path, field: Field) -> FieldValues:
-    """The values of a field by stamp, without repetitions."""
-    values = read_field(bag, field)
-    stamp, first = np.unique(values.stamp, return_index=True)
-    return FieldValues(stamp, values.values[first], values.stamped)
 
 
 class Passage(NamedTuple):
