@@ -54,7 +54,7 @@ class Assessment:
         self.spectrum = error_spectrum(moving.time, moving.r - moving.y)
         # Samples that the clock took and the bag lacks.
         periods = np.diff(time) / np.median(np.diff(time))
-        paused = np.isin(evaluation.stamps[:-1], evaluation.encoder.pauses)
+        paused = np.isin(evaluation.stamps[:-1], evaluation.pauses)
         gaps = np.flatnonzero((periods > 1.5) & ~paused).tolist()
         self.gaps = [Interval(float(time[at]), float(time[at + 1]), round(float(periods[at])) - 1) for at in gaps]
         # Where the command was at the law's current limit.

@@ -105,7 +105,12 @@ class BagEvaluation:
     @property
     def expected_samples(self) -> int:
         """Samples that the clock took from the run's first to its last in the bag."""
-        return samples_taken(self.stamps, self.encoder.pauses)
+        return samples_taken(self.stamps, self.pauses)
+
+    @property
+    def pauses(self) -> Stamps:
+        """Stamps (p,) in ns of the last sample before each pause of the recording."""
+        return self.encoder.pauses
 
     @property
     def received_samples(self) -> int:

@@ -141,7 +141,7 @@ def stroke_figures(
     lines = {
         f"{name}_{line}": value
         for name, deviation in (("before", guide), ("after", guide + y))
-        for line, value in about_lines(time, x, deviation).items()
+        for line, value in about_lines(x, deviation, np.abs(np.gradient(x, time))).items()
     }
     return StrokeFigures(
         direction=direction,
@@ -201,10 +201,10 @@ def _errors(encoder: Array, truth: Array | None, samples: slice | NDArray[np.int
     return found
 
 
-def about_lines(time: Array, x: Array, deviation: Array) -> dict[str, float]:
-    """The straightness of ``deviation`` (n,) over ``x`` (n,) of one movement about each of :data:`LINES`, by its name,
-    all in m; ``time`` (n,) in any unit."""
-    residuals = residual_of_stroke(time, x, deviation), end_point_residual(x, deviation)
+def about_lines(x: Array, deviation: Array, weights: Array) -> dict[str, float]:
+    """The straightness of ``deviation`` (n,) over ``x`` (n,) about each of :data:`LINES`, by its name, all in m;
+    ``weights`` (n,) as for :func:`~straightcomp_ros.straightness.residual.least_squares_residual`."""
+    residuals = least_squares_residual(x, deviation, weights), end_point_residual(x, deviation)
     return dict(zip(LINES, (*map(peak_to_peak, residuals), minimum_zone(x, deviation)), strict=True))
 
 

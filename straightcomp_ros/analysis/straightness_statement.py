@@ -217,7 +217,8 @@ def stated(
 ) -> list[Statement]:
     """The statements about each line from the ``strokes`` of one direction; where they ``repeats`` a measurement, with
     the standard deviation between them."""
-    values = np.array([[*about_lines(*one).values()] for one in strokes])
+    of_strokes = [about_lines(x, curve, np.abs(np.gradient(x, time))) for time, x, curve in strokes]
+    values = np.array([[*one.values()] for one in of_strokes])
     budgets = [[_repeatability(one)] if repeats else [] for one in values.T]
     random = np.random.default_rng(0)
     for one in inputs:
@@ -300,7 +301,7 @@ def _changes(one: Input, uncertainty: float, x: Array, mean: Array, random: np.r
     def changes(curve: Array) -> Array:
         changed = curve + errors
         drawn = _straightness(x, changed, changed, changed[:, [0, -1]])
-        return np.asarray(drawn - [*about_lines(np.arange(x.size, dtype=np.float64), x, curve).values()])
+        return np.asarray(drawn - [*about_lines(x, curve, np.abs(np.gradient(x))).values()])
 
     if not one.seen:
         return changes(mean)

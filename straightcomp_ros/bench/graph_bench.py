@@ -231,7 +231,7 @@ def measure(
     folder: Path,
     seconds: float,
     *,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Callable[[float], None],
     programs: Mapping[str, Sequence[str]] | None = None,
     composed: bool = False,
 ) -> tuple[dict[str, Any], dict[str, float]]:
@@ -287,11 +287,9 @@ def measure(
         figures[node] |= {"cpu_cores": cpu_cores.get(node), "rss_mb": [one.rss_mb.get(node) for one in (begin, end)]}
     return {
         **figures,
-        "lost_samples": recording.pop("lost_samples"),
+        **recording,
         "overruns": sum(one.overruns for one in timing.values()),
         "stalls": sum(one.stalls for one in timing.values()),
-        "latency_us": recording.pop("latency_us"),
         "cpu_cores": sum(cpu_cores.values()),
         "seconds": (end.time_ns - begin.time_ns) * 1e-9,
-        **recording,
     }, growth_mb_per_hour(window.looks)

@@ -4,6 +4,7 @@ import statistics
 import timeit
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from straightcomp_ros.contract import STREAMS
@@ -31,21 +32,17 @@ def cost(work: Callable[[], object], calls: int, repeats: int) -> Cost:
 
 def law_costs(parameters: ControlParameters, stage: StageParameters, repeats: int) -> dict[str, Cost]:
     """One step of each law, with the platform's error swinging by half a micrometre about the reference."""
-    return {name: _law_cost(replace(parameters, law=name), stage, repeats) for name in LAWS}
-
-
-def _law_cost(parameters: ControlParameters, stage: StageParameters, repeats: int) -> Cost:
-    law = make_law(parameters, stage)
     # Both signs of the error, and amplitudes inside and outside the boundary layer.
     readings = [0.5e-6 * (-1) ** k * (k % 10) / 10 for k in range(_CALLS)]
 
-    def work() -> None:
+    def work(law: Any) -> None:
         step = law.step
         law.reset(0.0)
         for y in readings:
             step(y, 1e-6, 1e-5, 1e-4, 0.1)
 
-    return cost(work, _CALLS, repeats)
+    laws = {name: make_law(replace(parameters, law=name), stage) for name in LAWS}
+    return {name: cost(partial(work, law), _CALLS, repeats) for name, law in laws.items()}
 
 
 def message_costs(repeats: int) -> dict[str, dict[str, Cost]]:

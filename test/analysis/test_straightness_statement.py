@@ -8,11 +8,10 @@ import pytest
 from scipy.signal import lfilter
 from tiers import nightly
 
-from straightcomp_ros.analysis.metrics import LINES
+from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Stroke, whole_ways
 from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, stated, statements
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
-from straightcomp_ros.straightness.residual import end_point_residual, least_squares_residual, minimum_zone
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 
 X = np.linspace(0.0, 1.76, 4000)
@@ -20,11 +19,6 @@ POINTS = np.linspace(0.0, 1.76, 60)
 SHAPE = 0.3e-6 * np.sin(2.0 * np.pi * 1.3 * X / 1.76) + 0.1e-6 * np.cos(2.0 * np.pi * 4.0 * X / 1.76)
 GUIDE = 10e-6 * np.sin(2.0 * np.pi * 3.1 * X / 1.76)
 COUNT, NOISE, SPREAD, STROKES, CORRELATION = 0.1e-6, 0.03e-6, 0.05, 8, 0.85
-
-
-def straightness(curve):
-    lines = (np.ptp(residual(X, curve)) for residual in (least_squares_residual, end_point_residual))
-    return dict(zip(LINES, (*lines, minimum_zone(X, curve)), strict=True))
 
 
 def moving(random, motion, strokes):
@@ -56,7 +50,7 @@ def coverage(seen, draws, motion=0.0):
     for draw in range(draws):
         errors = cubic_spline(POINTS, random.normal(0.0, NOISE, POINTS.size))(X)
         found = measured(random, seen, errors, motion)
-        of_strokes = [straightness(curve + (0.0 if seen else errors)) for curve in others]
+        of_strokes = [about_lines(X, curve + (0.0 if seen else errors), np.ones_like(X)) for curve in others]
         truth = {line: np.mean([one[line] for one in of_strokes]) for line in LINES}
         for row, one in zip(held[draw], found, strict=True):
             row[:] = [abs(value - truth[one.line]) <= one.expanded_uncertainty for value in (one.value, one.measured)]
