@@ -3,6 +3,7 @@
 import math
 import os
 import time
+from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from http.client import HTTPConnection, HTTPException
@@ -133,27 +134,10 @@ class BenchFailed(RuntimeError):
     """The measurement failed; the message names the node and the reason."""
 
 
-class Window:
-    """The measured time of a run: looks at the processes at its begin, every ``interval`` s, and at its end.
-
-    It begins ``settle`` s after the first call, and ends ``seconds`` later. Call it repeatedly while the graph runs.
-    """
-
-    def __init__(self, look: Callable[[], Usage], *, settle: float, seconds: float, interval: float) -> None:
-        self._look, self._settle, self._seconds, self._interval = look, settle, seconds, interval
-        self._begin = self._next = math.nan
-        self.looks: list[Usage] = []
-        self.finished = False
-
-    def __call__(self, now: float) -> None:
-        """Look if it is time to at ``now``, in s of a monotonic clock."""
-        if math.isnan(self._begin):
-            self._begin = self._next = now + self._settle
-        over = now >= self._begin + self._seconds
-        if not self.finished and (over or now >= self._next):
-            self.looks.append(self._look())
-            self._next += self._interval
-            self.finished = over
+def look_times(begin: float, seconds: float) -> list[float]:
+    """When to look at the processes in a window of these ``seconds`` from ``begin`` on: at both ends, and now and then
+    between them."""
+    return [*(begin + np.arange(0.0, seconds, _LOOK_INTERVAL_S)).tolist(), begin + seconds]
 
 
 def bench_parameters(
@@ -250,17 +234,20 @@ def measure(
     parameter_file.write_text(as_parameter_file(values))
     duration = forward_and_back(node_parameters("cell", values).stage.motion)[-1].time_ns * 1e-9
     process_ids: dict[str, int] = {}
-    window = Window(lambda: usage(process_ids), settle=_SETTLE_S, seconds=seconds, interval=_LOOK_INTERVAL_S)
-    recorded_at = math.inf
+    looks, due, recorded_at = list[Usage](), list[float](), math.inf
 
     def follow(fraction: float) -> bool:
         nonlocal recorded_at
         now = time.monotonic()
-        window(now)
+        if not looks and not due:
+            due.extend(look_times(now + _SETTLE_S, seconds))
+        if due and now >= due[0]:
+            looks.append(usage(process_ids))
+            del due[: bisect(due, now)]
+            if not due:
+                # By then the window's last samples are answered and recorded.
+                recorded_at = now + _REST_S
         progress(fraction)
-        if window.finished:
-            # By then the window's last samples are answered and recorded.
-            recorded_at = min(recorded_at, now + _REST_S)
         return now >= recorded_at
 
     try:
@@ -274,7 +261,7 @@ def measure(
             programs=programs,
             composed=composed,
         )
-        begin, end = window.looks[0], window.looks[-1]
+        begin, end = looks[0], looks[-1]
         recording = read_window(bag, begin.time_ns, end.time_ns)
         reports = read_reports(bag)
     except (LaunchError, BagError, OSError) as error:
@@ -292,4 +279,4 @@ def measure(
         "stalls": sum(one.stalls for one in timing.values()),
         "cpu_cores": sum(cpu_cores.values()),
         "seconds": (end.time_ns - begin.time_ns) * 1e-9,
-    }, growth_mb_per_hour(window.looks)
+    }, growth_mb_per_hour(looks)

@@ -2,16 +2,15 @@
 
 import math
 
-import numpy as np
 import pytest
 from bag_of_rows import bag_of_rows
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bench.graph_bench import (
     Usage,
-    Window,
     bench_parameters,
     growth_mb_per_hour,
+    look_times,
     read_window,
 )
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, STREAMS
@@ -23,13 +22,9 @@ START = 1_700_000_000_000_000_000
 PERIOD = 500_000
 
 
-def test_the_window_begins_after_the_settling_and_ends_once():
-    now, seen = 0.0, []
-    window = Window(lambda: seen.append(now), settle=1.0, seconds=25.0, interval=10.0)
-    for now in np.arange(100.0, 140.0, 0.05):
-        window(now)
-    np.testing.assert_allclose(seen, [101.0, 111.0, 121.0, 126.0], atol=0.06)
-    assert window.finished
+def test_the_processes_are_looked_at_at_both_ends_of_the_window_and_every_ten_seconds():
+    assert look_times(101.0, 25.0) == [101.0, 111.0, 121.0, 126.0]
+    assert look_times(101.0, 20.0) == [101.0, 111.0, 121.0]
 
 
 def test_the_slope_of_the_memory_is_that_of_the_line_through_the_looks():
