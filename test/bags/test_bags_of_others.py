@@ -10,6 +10,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from bag_of_rows import STORE
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
@@ -17,7 +18,6 @@ from places import SMC
 from recording import LAYOUTS, described, mcap_of, messages, records, sqlite_bag
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as SqliteWriter
-from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
@@ -29,7 +29,6 @@ from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.offline.audit import audit
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 SAMPLE = next(SMC.glob("*.mcap"))
 CYCLES = 800
 
