@@ -58,8 +58,7 @@ class CanHardware(Hardware):
         self._clock = clock
         self._stage, self._rate, self.motion = stage.motion, stage.rate, PacedMotion(stage.motion)
         self._receiver = Receiver(parameters, stage)
-        self._wire = wire = self._receiver.wire
-        self._stage_frames = EmulatorFrames(wire) if parameters.simulated_stage else None
+        self._wire = self._receiver.wire
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = self._command_ns = 0
@@ -137,10 +136,11 @@ class CanHardware(Hardware):
         self.motion = begun
 
     def home(self, now_ns: int) -> None:
-        if self._stage_frames is None:
+        emulator = self._receiver.emulator
+        if emulator is None:
             super().home(now_ns)
         else:
-            self._send_to_stage(self._stage_frames.stage_payloads(()))
+            self._send_to_stage(emulator.stage_payloads(()))
 
     def pace(self, pace: Pace) -> None:
         self._send_to_stage([self._frames_for_stage().pace_payload(pace)])
@@ -148,9 +148,10 @@ class CanHardware(Hardware):
         self.motion.ask(pace)
 
     def _frames_for_stage(self) -> EmulatorFrames:
-        if self._stage_frames is None:
+        emulator = self._receiver.emulator
+        if emulator is None:
             raise HardwareError("the stage takes no orders over CAN; 'can.simulated_stage' is for the emulator's")
-        return self._stage_frames
+        return emulator
 
     def _send_to_stage(self, frames: Iterable[tuple[int, bytes]]) -> None:
         for identifier, payload in frames:

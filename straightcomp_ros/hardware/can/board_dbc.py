@@ -31,7 +31,6 @@ from straightcomp_ros.hardware.can.frames import (
     Crc,
     Frames,
     Report,
-    alive_modulus,
     data_ids,
 )
 from straightcomp_ros.hardware.interface import State
@@ -328,13 +327,12 @@ class Wire:
         with _naming(f"wire.{inside[0]}.signal"):
             message = used_signals(message, list({one.name: one for one in used}.values()))
         factors = {_FIELDS.get(role, role): self._factor(role) for role in inside if _FIELDS.get(role, role) in UNITS}
-        counts = alive_modulus(alive, protected.profile) if alive is not None else 0
         code = self._signals.get("fault")
         no_fault = self.meaning.fault.none_value & (1 << code.length) - 1 if code else 0
         wraps = self.meaning.x_wraps
         if wraps and "x" in fields and fields["x"].is_float:
             raise RefusedParameter("wire.x_wraps", f"{self._place('x')} is a float; allowed: false")
-        return Frames(message, identifier, fields, factors, self._values(), kind, counts, crc, no_fault, wraps)
+        return Frames(message, identifier, fields, factors, self._values(), kind, crc, no_fault, wraps)
 
     def _factor(self, role: str) -> float:
         """From the file's unit of the role's signal to SI units, with the factor that the parameters give."""

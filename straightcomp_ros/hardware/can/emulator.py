@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from fractions import Fraction
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import BoardFault, Command, FrameError, Frames, Report
 from straightcomp_ros.hardware.can.hub import Hub
 from straightcomp_ros.hardware.can.sample_numbers import FrameSets
@@ -68,11 +68,10 @@ class Board:
         self._wire = wire = can.make_wire()
         self._range, self._send = stage.drive.current_range, send
         self.machine = machine = SimulatedHardware(parameters, stage, guide)
-        self._emulator = EmulatorFrames(wire)
-        self.stage = StageReceiver(self._emulator)
+        self.stage = EmulatorFrames(wire)
         self._tells_truth = can.simulated_stage and can.fd
         self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
-        self.identifiers = [*self._commands, *self._emulator.stage]
+        self.identifiers = [*self._commands, *self.stage.orders]
         # An answer to a sample older than the timeout counts as no answer.
         oldest = machine.command_timeout_ns // machine.period_ns
         self._oldest_echo = min(oldest, int(_SHARE_OF_ECHO * wire.echo_modulus)) if wire.echo_modulus else 0
@@ -198,7 +197,7 @@ class Board:
             referenced=referenced,
         )
         if self._tells_truth:
-            self._send(self._emulator.truth_id, self._emulator.truth_payload(self.counter, truth), True)
+            self._send(self.stage.truth_id, self.stage.truth_payload(self.counter, truth), True)
         for frames in wire.reports.values():
             if number % frames.every == 0:
                 turn = self._sent[frames.identifier]
@@ -280,10 +279,9 @@ class BoardProgram:
         # What acts when, the hold and the command timeout are the firmware's.
         bare = dataclasses.replace(parameters, command_timeout=1.0, hold_after=1e6)
         self.machine = SimulatedHardware(bare, stage, guide)
-        self._emulator = EmulatorFrames(can.make_wire())
-        self.stage = StageReceiver(self._emulator)
+        self.stage = EmulatorFrames(can.make_wire())
         self._encoder, self._code_current = stage.encoder, stage.drive.current_step
-        self._truth_id = self._emulator.truth_id if can.simulated_stage and can.fd else 0
+        self._truth_id = self.stage.truth_id if can.simulated_stage and can.fd else 0
         self._name, self._started = can.firmware, False
         self.socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
@@ -352,7 +350,7 @@ class BoardProgram:
         x, y = round(sample.x / self._encoder.x_resolution), round(sample.y / self._encoder.y_resolution)
         current = 0.0 if math.isnan(sample.current) else sample.current
         reading = _READING.pack(x, y, current, _VALID | _REFERENCED * (not machine.unreferenced), self._truth_id)
-        return reading + self._emulator.truth_payload(counter, truth) if self._truth_id else reading
+        return reading + self.stage.truth_payload(counter, truth) if self._truth_id else reading
 
     def close(self) -> None:
         """End the program, which switches its amplifier off."""

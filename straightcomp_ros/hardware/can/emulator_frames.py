@@ -22,11 +22,14 @@ _SEALED = {"StagePace": "PaceCrc", "Truth": "TruthCrc"}
 
 
 class EmulatorFrames:
-    """These frames for the board of ``wire``.
+    """These frames for the board of ``wire``: the host packs them, the simulated machine's side obeys them.
 
     Raises:
         ParameterError: the wire has a frame with an identifier of these.
     """
+
+    refused = ""
+    """Why the last trajectory was refused."""
 
     def __init__(self, wire: Wire) -> None:
         dbc = Dbc(FILE)
@@ -45,9 +48,10 @@ class EmulatorFrames:
             physical = {name: 1.0 for name, signal in signals.items() if signal.unit or signal.scale != 1.0}
             found.append(Frames(message, identifier, signals, physical, crc=crc))
         self.time, self.motion, self.start, self.pace, self._truth = found
-        self.stage = {frames.identifier: frames for frames in found[:4]}
+        self.orders = {frames.identifier: frames for frames in found[:4]}
         """The frames of a trajectory and of its pace, by identifier."""
         self.truth_id = self._truth.identifier
+        self._points = self._empty()
 
     def stage_payloads(self, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
         """Identifier and payload of each frame that moves a simulated stage, in the order of sending; without points it
@@ -83,32 +87,21 @@ class EmulatorFrames:
         counter, *numbers = self._truth.unpack(payload)
         return counter, Truth(*numbers)
 
-
-class StageReceiver:
-    """Obeys the frames of an :class:`EmulatorFrames` on the simulated machine's side."""
-
-    refused = ""
-    """Why the last trajectory was refused."""
-
-    def __init__(self, frames: EmulatorFrames) -> None:
-        self._frames = frames
-        self._points = self._empty()
-
     def _empty(self) -> dict[int, dict[int, tuple[bytes, tuple[int | float, ...]]]]:
         """Payload and values of times and motions by their numbers."""
-        return {self._frames.time.identifier: {}, self._frames.motion.identifier: {}}
+        return {self.time.identifier: {}, self.motion.identifier: {}}
 
     def obey(self, identifier: int, payload: bytes, machine: Hardware, at_ns: int) -> None:
         """Take one frame, and move ``machine`` from ``at_ns`` on with the one that starts the motion."""
-        frames = self._frames.stage.get(identifier)
+        frames = self.orders.get(identifier)
         if frames is None:
             return
         try:
             number, *values = frames.unpack(payload)
-            if frames is self._frames.pace:
+            if frames is self.pace:
                 hold, end = values
                 machine.pace(Pace(float(number), bool(hold), bool(end)))
-            elif frames is not self._frames.start:
+            elif frames is not self.start:
                 self._points[identifier][number] = payload, tuple(values)
             elif points := self._gathered(number, *values):
                 machine.move(Trajectory(points), at_ns)

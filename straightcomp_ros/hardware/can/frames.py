@@ -132,12 +132,6 @@ PROFILES = {
 }
 
 
-def alive_modulus(alive: Signal, profile: str) -> int:
-    """Counts of the frame counter before it begins again."""
-    counts = modulus(alive)
-    return min(counts, PROFILES[profile].reserved or counts) if profile in PROFILES else counts
-
-
 def data_ids(text: str, profile: str, identifier: int) -> list[int]:
     """The data ids in ``text``; without any, the low 16 bits of the CAN identifier.
 
@@ -241,7 +235,7 @@ class Frames:
     Attributes:
         spans: least and largest value in SI units, by each field in ``factors``.
         every: number of samples from one frame to the next.
-        alive_modulus: of the count of the frames, 1 without.
+        alive_modulus: of the count of the frames, in the field ``alive``; 1 without.
         period: s from one frame to the next, if the DBC file says it.
     """
 
@@ -255,7 +249,6 @@ class Frames:
         factors: Mapping[str, float] | None = None,
         values: Mapping[str, Mapping[Any, int]] | None = None,
         kind: Any = None,
-        alive_modulus: int = 0,
         crc: Crc | None = None,
         no_fault: int = 0,
         wraps: bool = False,
@@ -265,7 +258,9 @@ class Frames:
         self.factors = factors or {}
         self.values = {field: raw for field, raw in (values or {}).items() if field in fields}
         self.name, self.size, self.fd = message.name, message.length, is_fd(message)
-        self.alive_modulus, self.period = alive_modulus or 1, (message.cycle_time or 0) * 1e-3
+        self.period = (message.cycle_time or 0) * 1e-3
+        counts = modulus(fields["alive"]) if "alive" in fields else 1
+        self.alive_modulus = min(counts, (crc and PROFILES[crc.profile].reserved) or counts)
         self.spans = {field: self._span(field) for field in self.factors}
         self.kind, self._no_fault = kind or tuple, no_fault
         self._order: list[str] = list(kind._fields if kind else fields)

@@ -26,7 +26,8 @@ _FOREIGN = 0x7
 _AT_ONCE = 16
 """Frames between two polls of the sockets."""
 _LONGEST_WAIT_S = 0.1
-_BUFFER = 1 << 20
+BUFFER = 1 << 20
+"""Bytes that a socket of the bus holds for one that does not read."""
 _HEAD = struct.Struct("<QIB")
 LONGEST = _HEAD.size + 64
 
@@ -235,7 +236,7 @@ class Hub:
     def _accept(self) -> None:
         node, _ = self._listener.accept()
         node.setblocking(False)
-        node.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        node.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
         self._nodes.append(node)
         self.watch(node.fileno(), partial(self._fetch, node))
 

@@ -17,7 +17,6 @@ from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.hub import Frame
 
 INTERFACE = "straightcomp_hub"
-_BUFFER = 1 << 20
 _BITS = {
     "is_remote_frame": hub.REMOTE,
     "is_error_frame": hub.ERROR,
@@ -35,7 +34,7 @@ class HubBus(can.BusABC):
 
     def __init__(self, channel: str, can_filters: Any = None, fd: bool = False, **options: Any) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, hub.BUFFER)
         try:
             self._socket.connect(str(channel))
         except OSError as error:

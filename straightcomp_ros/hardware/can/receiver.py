@@ -44,6 +44,7 @@ class Receiver:
         counts: refused frames by reason, and errors that the interface reported.
         identifiers: CAN identifiers that this receiver reads.
         sets: what became of the frames of samples whose signals are in several messages.
+        emulator: the frames of an emulated board's stage and truth, if it is one.
     """
 
     def __init__(self, parameters: CanParameters, stage: StageParameters) -> None:
@@ -93,9 +94,9 @@ class Receiver:
                 self._handlers[frames.identifier] = partial(self._receive_component, number, frames)
         if wire.heartbeat:
             self._handlers[wire.heartbeat.identifier] = partial(self._receive_heartbeat, wire.heartbeat)
-        if parameters.fd and parameters.simulated_stage:
-            self._emulator = EmulatorFrames(wire)
-            self._handlers[self._emulator.truth_id] = self._receive_truth
+        self.emulator = EmulatorFrames(wire) if parameters.simulated_stage else None
+        if self.emulator and parameters.fd:
+            self._handlers[self.emulator.truth_id] = partial(self._receive_truth, self.emulator)
         self.identifiers = list(self._handlers)
 
     def restart(self) -> None:
@@ -279,9 +280,9 @@ class Receiver:
             self.samples.popleft()
             self.overflowed += 1
 
-    def _receive_truth(self, payload: bytes, _: int) -> None:
+    def _receive_truth(self, emulator: EmulatorFrames, payload: bytes, _: int) -> None:
         try:
-            self._truth = self._emulator.truth_of(payload)
+            self._truth = emulator.truth_of(payload)
         except FrameError:
             # Nothing acts on the truth, so a damaged one does not count as a bad frame.
             self.counts["truth"] += 1

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.dbc_file import DbcError, in_page, limits, pages
-from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames, StageReceiver
+from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import (
     BoardFault,
     Command,
@@ -27,7 +27,6 @@ from straightcomp_ros.hardware.can.frames import (
     FrameError,
     Frames,
     Report,
-    alive_modulus,
     data_ids,
 )
 from straightcomp_ros.hardware.interface import HardwareError, State, Truth
@@ -260,13 +259,11 @@ MESSAGES = cantools.database.load_string(PROTECTED_DBC, "dbc")
 
 
 def protected(message, profile, ids):
-    """Pack and unpack of a message's alive counter and value under a profile."""
+    """Frames with a message's alive counter and value under a profile."""
     described = MESSAGES.get_message_by_name(message)
     signals = {"alive": described.get_signal_by_name("Alive"), "value": described.get_signal_by_name("Value")}
     crc = Crc(described, described.get_signal_by_name("Crc"), signals["alive"], profile, ids)
-    counts = alive_modulus(signals["alive"], profile)
-    found = Frames(described, 1, signals, alive_modulus=counts, crc=crc)
-    return found.pack, found.unpack
+    return Frames(described, 1, signals, crc=crc)
 
 
 def profile_1(payload, place, data_id):
@@ -283,21 +280,20 @@ def test_crcs_are_those_of_other_implementations(alive, value, data_id):
         ("First", "j1850", [], lambda payload: payload[0] == crccheck.crc.Crc8SaeJ1850.calc(payload[1:])),
         ("Last", "j1850", [], lambda payload: payload[7] == crccheck.crc.Crc8SaeJ1850.calc(payload[:7])),
     ):
-        pack, unpack = protected(message, profile, ids)
-        payload = pack((alive, value))
+        frames = protected(message, profile, ids)
+        payload = frames.pack((alive, value))
         assert expected(payload), (message, profile)
-        assert unpack(payload) == (alive, value)
+        assert frames.unpack(payload) == (alive, value)
         for byte in range(len(payload)):
             wrong = payload[:byte] + bytes([payload[byte] ^ 0x10]) + payload[byte + 1 :]
             with pytest.raises(FrameError, match="crc"):
-                unpack(wrong)
+                frames.unpack(wrong)
 
 
 def test_profile_1_gives_the_examples_of_autosar_for_data_id_0x123_and_alone_reserves_the_count_15():
-    pack, _ = protected("First", "e2e_1", [0x123])
-    assert [pack((alive, 0))[0] for alive in (0, 1)] == [0xCC, 0x91]
-    alive = MESSAGES.get_message_by_name("First").get_signal_by_name("Alive")
-    assert [alive_modulus(alive, profile) for profile in ("e2e_1", "e2e_2", "j1850", "none")] == [15, 16, 16, 16]
+    frames = protected("First", "e2e_1", [0x123])
+    assert [frames.pack((alive, 0))[0] for alive in (0, 1)] == [0xCC, 0x91] and frames.alive_modulus == 15
+    assert protected("First", "e2e_2", IDS_OF_2).alive_modulus == protected("First", "j1850", []).alive_modulus == 16
 
 
 @pytest.mark.parametrize(
@@ -335,7 +331,7 @@ class Machine:
     """What the simulated stage of an emulated board was asked for by frames."""
 
     def __init__(self):
-        self.moves, self.paces, self._receiver = [], [], StageReceiver(EMULATOR)
+        self.moves, self.paces, self._frames = [], [], EmulatorFrames(FD)
 
     def move(self, trajectory, at_ns):
         self.moves.append(trajectory.waypoints)
@@ -346,8 +342,8 @@ class Machine:
     def received(self, *frames):
         """Why these frames were refused."""
         for identifier, payload in frames:
-            self._receiver.obey(identifier, payload, self, 0)
-        return self._receiver.refused
+            self._frames.obey(identifier, payload, self, 0)
+        return self._frames.refused
 
 
 def damaged(payload, byte):
