@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS
+from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, SHORTEST, header_stamp_ns
 
 MOST_POINTS = 10_000
 """The most strokes of a cycle, 1000, have 9 points each without a limit of the jerk."""
 _MOST_JOINTS, _MOST_LAYOUTS = 64, 16
 _ARRAYS = ("positions", "velocities", "accelerations", "effort")
-_LENGTH, _STAMP = struct.Struct("<I"), struct.Struct("<iI")
-
+_LENGTH = struct.Struct("<I")
 
 Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
 
@@ -35,21 +34,16 @@ def read_trajectory(data: bytes, joint: str) -> tuple[int, Columns]:
     if data[:2] != ENCAPSULATION[:2]:
         raise ValueError(f"stage trajectory: encapsulation {data[:2].hex()} is not little-endian CDR")
     try:
-        return _columns(_Cursor(data[len(ENCAPSULATION) :]), joint)
+        return header_stamp_ns(data), _columns(_Cursor(data[len(ENCAPSULATION) :]), joint)
     except struct.error:
         raise ValueError(f"stage trajectory: {len(data)} bytes are no whole message") from None
 
 
 class _Cursor:
-    """Reads fields one after the other; CDR aligns relative to the end of the encapsulation."""
+    """Reads the fields after the stamp one by one; CDR aligns relative to the end of the encapsulation."""
 
     def __init__(self, body: bytes) -> None:
-        self._body, self._at = body, 0
-
-    def stamp_ns(self) -> int:
-        sec, nanosec = _STAMP.unpack_from(self._body, self._at)
-        self._at += _STAMP.size
-        return int(sec) * NANOSECONDS + int(nanosec)
+        self._body, self._at = body, SHORTEST - len(ENCAPSULATION)
 
     def length(self) -> int:
         self._at += -self._at % 4
@@ -96,8 +90,7 @@ class _Cursor:
         return points
 
 
-def _columns(cursor: _Cursor, joint: str) -> tuple[int, Columns]:
-    stamp_ns = cursor.stamp_ns()
+def _columns(cursor: _Cursor, joint: str) -> Columns:
     cursor.text()  # frame
     count = cursor.length()
     if count > _MOST_JOINTS:
@@ -127,4 +120,4 @@ def _columns(cursor: _Cursor, joint: str) -> tuple[int, Columns]:
     if (times < 0).any():
         first = int((times < 0).argmax())
         raise ValueError(f"stage trajectory, point {first}: time {times[first] / NANOSECONDS} s; allowed: >= 0 s")
-    return stamp_ns, (times, positions, velocities)
+    return times, positions, velocities

@@ -260,29 +260,27 @@ def test_a_single_command_that_is_lost_is_no_silence_however_short_the_timeout()
     assert world.host.fault is None and world.board.amplifier is State.ON
 
 
-@pytest.fixture
-def foreign(made):
-    """A board with another DBC file: its amplifier's state comes in frames of their own, and there is no heartbeat."""
-    return made(FOREIGN).on()
+@pytest.mark.parametrize("can", [FOREIGN, SPLIT], ids=["foreign", "split"])
+def test_a_board_with_its_own_frames_is_switched_on_and_off_and_says_its_faults_in_its_own_words(made, can):
+    world = made(can).on()
+    world.run(0.05, current=0.2)
+    assert world.samples[-1].current == pytest.approx(0.2, abs=0.01)
+    assert world.host.lost_samples == world.host.counters()["can_incomplete"] == world.board.refused_commands == 0
+    world.to_board = False
+    world.run(TIMEOUT + 0.006)
+    # The foreign board's page with the code comes after the one with the state.
+    assert world.host.state is State.FAULT and ("COMMAND_TIMEOUT" in world.host.fault[1]) == (can is SPLIT)
+    world.run(0.01)
+    assert "COMMAND_TIMEOUT" in world.host.fault[1]
+    assert world.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
+    world.off_again()
+    world.host.disable()
+    world.run(0.05)
+    assert world.board.amplifier is State.OFF and world.host.state is State.OFF and world.host.fault is None
 
 
-def test_a_foreign_board_is_switched_on_and_off_and_says_its_faults_in_its_own_words(foreign):
-    foreign.run(0.05, current=0.2)
-    assert foreign.samples[-1].current == pytest.approx(0.2, abs=0.01)
-    foreign.to_board = False
-    foreign.run(TIMEOUT + 0.006)
-    # The page with the code comes after the one with the state.
-    assert "COMMAND_TIMEOUT" not in foreign.host.fault[1] and foreign.host.state is State.FAULT
-    foreign.run(0.01)
-    assert "COMMAND_TIMEOUT" in foreign.host.fault[1]
-    assert foreign.host.counters()["can_board_fault"] == "COMMAND_TIMEOUT"
-    foreign.off_again()
-    foreign.host.disable()
-    foreign.run(0.05)
-    assert foreign.board.amplifier is State.OFF and foreign.host.state is State.OFF and foreign.host.fault is None
-
-
-def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(foreign):
+def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(made):
+    foreign = made(FOREIGN).on()
     foreign.unreceived = {foreign.wire.homes["amplifier"].identifier}
     foreign.run(0.14)
     assert foreign.host.state is State.ON
@@ -291,23 +289,8 @@ def test_a_state_of_the_amplifier_that_stops_is_a_fault_while_the_samples_go_on(
     assert foreign.board.amplifier is State.OFF
 
 
-@pytest.fixture
-def split(made):
-    """A board with a message for each axis, to which the host sends switches and current in two."""
-    return made(SPLIT).on()
-
-
-def test_a_board_with_several_messages_for_sample_and_command_runs_and_trips_as_any_other(split):
-    split.run(0.05, current=0.2)
-    assert split.samples[-1].current == pytest.approx(0.2, abs=0.01)
-    assert split.host.lost_samples == split.host.counters()["can_incomplete"] == split.board.refused_commands == 0
-    split.to_board = False
-    split.run(TIMEOUT + 0.006)
-    assert "COMMAND_TIMEOUT" in split.host.fault[1] and split.board.amplifier is State.FAULT
-    split.off_again()
-
-
-def test_samples_whose_y_does_not_come_are_counted_and_not_used_and_a_fault_at_last(split):
+def test_samples_whose_y_does_not_come_are_counted_and_not_used_and_a_fault_at_last(made):
+    split = made(SPLIT).on()
     split.unreceived = {split.wire.homes["y"].identifier}
     split.run(0.003)
     seen = len(split.samples)
@@ -316,7 +299,8 @@ def test_samples_whose_y_does_not_come_are_counted_and_not_used_and_a_fault_at_l
     assert "no good sample" in split.host.fault[1]
 
 
-def test_off_is_obeyed_without_the_other_message_of_its_command_and_a_current_without_its_switches_is_none(split):
+def test_off_is_obeyed_without_the_other_message_of_its_command_and_a_current_without_its_switches_is_none(made):
+    split = made(SPLIT).on()
     switch, current = split.wire.commands
     for number in range(100):
         split.now += PERIOD

@@ -24,6 +24,11 @@ def foreign(**changes):
     return board_of(FOREIGN_FILE, **changes).make_wire()
 
 
+def protected(group, profile="none", **changes):
+    """Changes that give a group another profile or none, and more of it."""
+    return {f"wire/protection/{group}/{name}": value for name, value in {"profile": profile, **changes}.items()}
+
+
 @pytest.fixture
 def edited(tmp_path):
     """``edited(old, new)`` is a copy of the foreign DBC file, or of another, with a change."""
@@ -84,7 +89,7 @@ def test_values_without_a_meaning_of_their_own_are_off_where_the_parameters_say_
 
 def test_a_reading_that_is_no_number_is_not_good(edited):
     plain = foreign(
-        dbc=edited('(1,0) [-2000|2000] "mm"', '(1,0) [0|0] "mm"'), **unprotected("sample", crc="", data_id="")
+        dbc=edited('(1,0) [-2000|2000] "mm"', '(1,0) [0|0] "mm"'), **protected("sample", crc="", data_id="")
     )
     payload = bytearray(plain.sample.pack(REPORT, 0))
     assert plain.sample.unpack(bytes(payload)).good
@@ -116,10 +121,14 @@ foreign | wire.echo.signal | wire/echo/signal=SET_CURRENT | of message 'PC_SET' 
 foreign | wire.counter.signal | wire/counter/signal=POS_X | of message 'DSP_MEAS' is signed or a float
 foreign | wire.protection.status.crc | wire/protection/status/crc=ERROR_CODE | 'DSP_STATUS' is multiplexed; allowed: a
 foreign | wire.protection.sample.crc | wire/protection/sample/crc= | '' is not a signal
-foreign | wire.protection.sample.crc | wire/protection/sample/profile=e2e_1 | allowed with profile e2e_1
+foreign | wire.protection.sample.crc | wire/protection/sample/profile=e2e_1 | allowed with profile e2e_1: 8 bits, uns
+foreign | wire.protection.command.crc | wire/protection/command/profile=e2e_5 | has 8 bits .* e2e_5: 16 bits
 foreign | wire.protection.status.profile | wire/protection/status/profile=none | 'none' is not allowed with
 foreign | wire.protection.current | wire/protection/current/alive=MEAS_CNT | is given, but
-foreign | wire.protection.sample.data_id | wire/protection/sample/data_id=x | 'x' is not allowed
+foreign | wire.protection.sample.data_id | wire/protection/sample/data_id=x | 'x' is not allowed with profile e2e_5
+foreign | wire.protection.sample.data_id | wire/protection/sample/data_id='0x12345' | allowed: 1 of 0 to 0xffff
+foreign | wire.protection.command.data_id | wire/protection/command/data_id='7' | which has no data id
+foreign | wire.protection.command.data_id | wire/protection/command/profile=e2e_2 | allowed: 16 of 0 to 0xff
 foreign | wire.x.message | fd=false | 'DSP_MEAS' of .* is a message of CAN FD.*'can.fd' is false
 foreign | wire.x.message | dbc= | 'DSP_MEAS' is not allowed without a file in 'can.dbc'
 foreign | wire.echo.signal | SAMPLE wire/protection/sample/alive= | needs a count of the samples
@@ -144,7 +153,7 @@ def test_what_does_not_fit_the_file_is_refused_with_parameter_value_and_what_is_
 
 LIMIT = r"'stage.actuator.current_limit': .* is too large for CAN; allowed: <= 0.5 A"
 NODE = r"'can.node': 127 moves message 'DSP_STATUS' .* to 0x826; allowed: <= 0x7ff"
-UNPROTECTED_Y = {"wire/protection/y/profile": "none", "wire/protection/y/crc": ""}
+IDS_OF_2 = " ".join(map(str, range(16)))
 COUNTS = r"'can.wire.protection.y.alive': .* 'DSP_X' to 15 and 'DSP_Y' to 16 .*allowed: moduli with"
 EDITED = [
     (FOREIGN_FILE, '[-2|2] "A" DSP', '[-0.5|0.6] "A" DSP', {}, LIMIT),
@@ -166,7 +175,14 @@ EDITED = [
         r"amplifier.off_value': -1 leaves no value of 'AMP_STATE' .*allowed: a signal with more than \[2, 3\]",
     ),
     (FOREIGN_FILE, " 801 ", " 1960 ", {"node": 127}, NODE),
-    (SPLIT_FILE, "35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", UNPROTECTED_Y, COUNTS),
+    (SPLIT_FILE, "35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", protected("y", crc=""), COUNTS),
+    (
+        FOREIGN_FILE,
+        "",
+        "",
+        protected("command", "e2e_2", alive="", data_id=IDS_OF_2),
+        "needs a counter 'alive' of 4 bits",
+    ),
 ]
 
 
@@ -174,11 +190,6 @@ EDITED = [
 def test_a_file_that_does_not_fit_the_stage_the_node_or_itself_is_refused(edited, file, old, new, changes, words):
     with pytest.raises(ParameterError, match=words):
         board_of(file, dbc=edited(old, new, file), **changes)
-
-
-def unprotected(group, **changes):
-    """Changes that take a group's profile, and more of it, away."""
-    return {f"wire/protection/{group}/{name}": value for name, value in {"profile": "none", **changes}.items()}
 
 
 def names(several):
@@ -201,7 +212,7 @@ def test_signals_of_a_sample_and_of_a_command_may_be_in_several_messages():
 
 
 def test_the_sample_is_numbered_by_the_message_that_has_a_count():
-    wire = board_of(SPLIT_FILE, **unprotected("sample", crc="", alive="")).make_wire()
+    wire = board_of(SPLIT_FILE, **protected("sample", crc="", alive="")).make_wire()
     assert names(wire.parts) == ["DSP_Y", "DSP_X"] and wire.sample_modulus == 15
     assert wire.part_modulus == 0
 

@@ -175,8 +175,13 @@ def test_a_start_value_that_its_signal_cannot_hold_is_left_out(board, compiled, 
     compiled(can)
 
 
-def commented(words):
-    return f'{BOARD}\nCM_ BO_ 288 "{words}";\nCM_ SG_ 288 POS_Y "{words}";\n'
+def with_code(kind):
+    return with_line(" SG_ OK", f' SG_ CODE : 59|{kind} "" X\n SG_ OK')
+
+
+def commented(words, others="another"):
+    board = with_code("4@1+ (1,0) [0|15]")
+    return f'{board}\nCM_ BO_ 288 "{words}";\nCM_ SG_ 288 POS_Y "{others}";\nVAL_ 288 CODE 3 "SUPPLY" ;\n'
 
 
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
@@ -209,10 +214,6 @@ def test_a_counter_that_the_firmware_cannot_have_is_refused(board):
     text = with_line("SET_CNT : 24|8@1+ (1,0) [0|255]", "SET_CNT : 24|36@1+ (1,0) [0|0]").replace("SET: 4", "SET: 8")
     with pytest.raises(DbcError, match="'SET_CNT' of message 'SET' counts beyond 32 bits"):
         frames_in_c([board(text).make_wire()])
-
-
-def with_code(kind):
-    return with_line(" SG_ OK", f' SG_ CODE : 59|{kind} "" X\n SG_ OK')
 
 
 def coded(none):
@@ -477,11 +478,6 @@ def test_the_frames_of_a_board_that_speaks_a_real_files_messages_compile(board, 
             tried += 1
         if tried >= 3:
             break
-
-
-def commented(comment, other="another"):
-    lines = f'CM_ BO_ 288 "{comment}";\nCM_ BO_ 289 "{other}";\nVAL_ 288 CODE 3 "SUPPLY" ;\n'
-    return with_code("4@1+ (1,0) [0|15]") + lines
 
 
 @pytest.mark.parametrize("comment", ["of C:\\boards\\", 'a \\"fast\\" one', 'a "fast" one; and\nBO_ more', "// one"])
