@@ -329,11 +329,10 @@ def test_a_process_that_stood_still_between_two_readings_has_seen_no_step():
 
 def test_a_step_is_judged_by_the_middle_of_the_readings_around_it():
     clocks = Clocks(reading_ns=0)
-    # The system's clock is read 10 ms after the monotonic one and 10 ms before it is read again.
-    times = iter([10_000_000, 30_000_000])
-    clocks.watch._monotonic_ns = lambda: clocks.monotonic + next(times)
-    clocks.watch._system_ns = lambda: clocks.monotonic + 20_000_000 + clocks.offset + 55_000_000
-    fault, words = clocks.watch.check(clocks.monotonic, clocks.monotonic + clocks.offset + 55_000_000)
+    clocks.offset += 65_000_000
+    # The system's clock is read as the first of two readings ends, which are 20 ms apart.
+    clocks.reading_ns = 20_000_000
+    fault, words = clocks.check()
     assert fault is Fault.CLOCK_JUMP and "+0.055 s" in words
 
 

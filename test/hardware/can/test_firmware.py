@@ -38,19 +38,22 @@ CURRENT_COUNT = 1e-4
 """A"""
 
 
-class Run:
-    """A board with its calls and what it sent; ``program`` is the firmware, without it the board is the emulator."""
+class Pair:
+    """The emulator and a firmware that get the same calls; of each what it sent, its currents and its states."""
 
-    def __init__(self, can, program=None, stage=STAGE):
-        self.can, self.wire = can, can.make_wire()
-        self.emulator = EmulatorFrames(self.wire)
-        self.sent, self.calls, self.currents, self.states = [], [], [], []
-        self._next_ns = START
-        kind, can = (FirmwareBoard, replace(can, firmware=str(program))) if program else (Board, can)
-        self.board = kind(can, SimulatedParameters(), stage, GUIDE, lambda *frame: self.sent.append(frame))
-        if program:
-            self._listen_to(self.board.machine)
-        self.board.start(START)
+    def __init__(self, can, program, stage=STAGE):
+        self.wire = can.make_wire()
+        self.stage_payloads = EmulatorFrames(self.wire).stage_payloads
+        self.sent, self.currents, self.states = ([], []), ([], []), ([], [])
+        self._next_ns, self._asked = START, 0.0
+        given = SimulatedParameters(), stage, GUIDE
+        self.board = Board(can, *given, lambda *frame: self.sent[0].append(frame))
+        theirs = replace(can, firmware=str(program))
+        self.firmware = FirmwareBoard(theirs, *given, lambda *frame: self.sent[1].append(frame))
+        self._boards = self.board, self.firmware
+        self._listen_to(self.firmware.machine)
+        for board in self._boards:
+            board.start(START)
 
     def command(self, number, enable, reset, current, back=0):
         """Identifiers and payloads of the ``number``-th command, which answers the sample ``back`` before the newest;
@@ -65,7 +68,6 @@ class Run:
     def _listen_to(self, machine):
         """The machine behind the firmware integrates a current later than it is asked for."""
         write, disable = machine.write, machine.disable
-        self._asked = 0.0
 
         def asked(current, at_ns):
             self._asked = current
@@ -78,11 +80,11 @@ class Run:
         machine.write, machine.disable = asked, switched_off
 
     def cycle(self, at_ns):
-        self.calls.append(("cycle", at_ns))
-        self.board.cycle(at_ns)
-        firmware = isinstance(self.board, FirmwareBoard)
-        self.currents.append(self._asked if firmware else self.board.machine.applied_current)
-        self.states.append((self.board.amplifier, self.board.fault))
+        for board, states in zip(self._boards, self.states, strict=True):
+            board.cycle(at_ns)
+            states.append((board.amplifier, board.fault))
+        for currents, current in zip(self.currents, (self.board.machine.applied_current, self._asked), strict=True):
+            currents.append(current)
 
     def cycle_until(self, at_ns):
         """Each sample by itself: one that the emulator takes late, with others, reports the state after all of them."""
@@ -90,49 +92,48 @@ class Run:
             self.cycle(now)
             self._next_ns = now + STAGE.period_ns
 
-    def receive(self, identifier, payload, at_ns):
-        self.calls.append(("receive", identifier, payload, at_ns))
-        self.board.receive(identifier, payload, at_ns)
-
-    def called_as(self, other):
-        """Make the calls that another board had."""
-        for call, *arguments in other.calls:
-            getattr(self, call)(*arguments)
-        return self
+    def receive(self, *frame):
+        for board in self._boards:
+            board.receive(*frame)
 
     def close(self):
-        if isinstance(self.board, FirmwareBoard):
-            self.board.close()
+        self.firmware.close()
+
+    def judge_equal(self):
+        """The firmware has sent the same frames and currents, and refused as many commands."""
+        for emulated, own in (self.sent, self.currents, self.states):
+            assert emulated == own
+        assert self.board.refused_commands == self.firmware.refused_commands
+
+    def encoders(self, board, begin=0):
+        """The samples that the emulator (0) or the firmware (1) sent, each from all its frames."""
+        count, identifiers = len(self.wire.parts), {frames.identifier for frames in self.wire.parts}
+        sent = ((identifier, data) for identifier, data, _ in self.sent[board][begin:] if identifier in identifiers)
+        found = [self.wire.reports[identifier].unpack(data) for identifier, data in sent]
+        return [together(found[k : k + count]) for k in range(0, len(found), count)]
 
 
-@contextlib.contextmanager
-def repeated(reference, program, **options):
-    with contextlib.closing(Run(reference.can, program, **options)) as run:
-        yield run.called_as(reference)
+@pytest.fixture
+def pair():
+    """``pair(can, program)`` are the two boards with these frames."""
+    with contextlib.ExitStack() as stack:
+        yield lambda *given: stack.enter_context(contextlib.closing(Pair(*given)))
 
 
-def judge_equal(reference, program, **options):
-    """The firmware, called as the emulator was, sends the same frames and currents and refuses as many commands."""
-    with repeated(reference, program, **options) as run:
-        assert run.sent == reference.sent and run.currents == reference.currents
-        assert run.board.refused_commands == reference.board.refused_commands
-        assert (run.board.amplifier, run.board.fault) == (reference.board.amplifier, reference.board.fault)
-
-
-def bad_loop(can, stage=STAGE, samples=3000, seed=1):
+def bad_loop(run, stage=STAGE, samples=3000, seed=1):
     """The closed loop on a moving stage over a bus that loses, damages and repeats; off, on and reset in between."""
-    run, chance = Run(can, stage=stage), random.Random(seed)
+    chance = random.Random(seed)
     servo, period = Servo(make_law(ControlParameters(), stage)), stage.period_ns
     motion = MotionParameters(stroke=0.05, settle=0.1)
-    for frame in run.emulator.stage_payloads(forward_and_back(motion)):
+    for frame in run.stage_payloads(forward_and_back(motion)):
         run.receive(*frame, START)
     largest = round(stage.drive.largest_current / CURRENT_COUNT)
     silent_until = 0
     for k in range(samples):
         now = START + k * period
-        before = len(run.sent)
+        before = len(run.sent[0])
         run.cycle(now)
-        frame = encoders(run, before)[-1]
+        frame = run.encoders(0, before)[-1]
         command = servo.step(now, frame.y, frame.current or 0.0, (0,) * 3)
         silent_until = k + chance.randrange(30) if chance.random() < 0.005 else silent_until
         if k < silent_until or chance.random() < 0.05:
@@ -152,34 +153,26 @@ def bad_loop(can, stage=STAGE, samples=3000, seed=1):
 
 @pytest.mark.parametrize("can", [CLASSIC, FD, FOREIGN, SPLIT, BARE], ids=["classic", "fd", "foreign", "split", "bare"])
 @pytest.mark.parametrize("program", ["board_sanitized", *nightly(["board_posix"])])
-def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(firmware_of, program, can):
+def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(pair, firmware_of, program, can):
     # A count of x that lies between two of the frame's is another matter, see below.
     stage = STAGE if can is not BARE else StageParameters(encoder=EncoderParameters(x_resolution=2e-7))
-    reference = bad_loop(can, stage)
-    amplifier = [amplifier for amplifier, _ in reference.states]
+    run = bad_loop(pair(can, firmware_of(can, program), stage), stage)
+    amplifier = [amplifier for amplifier, _ in run.states[0]]
     # The run is worth comparing. Without a counter no command is refused as repeated.
     assert {State.OFF, State.ON, State.FAULT} == set(amplifier) and amplifier.count(State.ON) > 1000
-    assert reference.board.refused_commands > 20 or can is BARE
-    judge_equal(reference, firmware_of(can, program), stage=stage)
+    assert run.board.refused_commands > 20 or can is BARE
+    run.judge_equal()
 
 
 @pytest.mark.parametrize("seed", [0, *nightly(range(1, 10))])
-def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(firmware_of, tmp_path, seed):
+def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(pair, firmware_of, tmp_path, seed):
     text, meaning = drawn_board(seed)
     file = tmp_path / f"drawn_{seed}.dbc"
     file.write_text(text)
     can = CanParameters(dbc=str(file), wire=meaning, simulated_stage=True)
-    reference = bad_loop(can, samples=1500)
-    assert [amplifier for amplifier, _ in reference.states].count(State.ON) > 300
-    judge_equal(reference, firmware_of(can, "board_sanitized"))
-
-
-def encoders(run, begin=0):
-    """The samples that the board sent, each from all its frames."""
-    count, identifiers = len(run.wire.parts), {frames.identifier for frames in run.wire.parts}
-    sent = ((identifier, data) for identifier, data, _ in run.sent[begin:] if identifier in identifiers)
-    found = [run.wire.reports[identifier].unpack(data) for identifier, data in sent]
-    return [together(found[k : k + count]) for k in range(0, len(found), count)]
+    run = bad_loop(pair(can, firmware_of(can, "board_sanitized")), samples=1500)
+    assert [amplifier for amplifier, _ in run.states[0]].count(State.ON) > 300
+    run.judge_equal()
 
 
 @pytest.mark.parametrize(
@@ -193,27 +186,25 @@ def encoders(run, begin=0):
     ],
     ids=["1 kHz", "8 kHz, 2.5 samples, 16 bit", "no delay, 8 bit", "coarse encoders", "fine encoders"],
 )
-def test_on_other_stages_too(firmware, stage):
-    judge_equal(bad_loop(FD, stage), firmware / "board_posix", stage=stage)
+def test_on_other_stages_too(pair, firmware, stage):
+    bad_loop(pair(FD, firmware / "board_posix", stage), stage).judge_equal()
 
 
-def test_with_a_holding_law_in_float_a_current_differs_by_one_step_of_the_converter_at_most(firmware):
-    reference = bad_loop(FD)
-    with repeated(reference, firmware / "board_float") as run:
-        differences = [abs(a - b) for a, b in zip(run.currents, reference.currents, strict=True)]
-        assert max(differences) <= 1.001 * STAGE.drive.current_step
-        assert run.states == reference.states
+def test_with_a_holding_law_in_float_a_current_differs_by_one_step_of_the_converter_at_most(pair, firmware):
+    run = bad_loop(pair(FD, firmware / "board_float"))
+    differences = [abs(a - b) for a, b in zip(*run.currents, strict=True)]
+    assert max(differences) <= 1.001 * STAGE.drive.current_step
+    assert run.states[0] == run.states[1]
 
 
-def test_a_count_between_two_of_the_frames_is_rounded_to_one_of_them(firmware):
+def test_a_count_between_two_of_the_frames_is_rounded_to_one_of_them(pair, firmware):
     stage = StageParameters(encoder=EncoderParameters(x_resolution=5e-8, y_resolution=5e-8))
-    reference = bad_loop(FD, stage, samples=1000)
+    run = bad_loop(pair(FD, firmware / "board_posix", stage), stage, samples=1000)
     # In floating point a tie is none, or is one that is not: x may differ by a count, and y, which has no ties of its
     # own where the platform rests.
-    with repeated(reference, firmware / "board_posix", stage=stage) as run:
-        for own, others in zip(encoders(run), encoders(reference), strict=True):
-            assert abs(own.x - others.x) < 1.01e-7 and abs(own.y - others.y) < 1.01e-7
-            assert own._replace(x=0, y=0) == others._replace(x=0, y=0)
+    for own, others in zip(run.encoders(1), run.encoders(0), strict=True):
+        assert abs(own.x - others.x) < 1.01e-7 and abs(own.y - others.y) < 1.01e-7
+        assert own._replace(x=0, y=0) == others._replace(x=0, y=0)
 
 
 COMMANDS = st.tuples(
@@ -229,47 +220,47 @@ NONSENSE = st.lists(st.tuples(WAITS, st.none() | COMMANDS | NOISE), min_size=1, 
 @settings(max_examples=60)
 @given(calls=NONSENSE, can=st.sampled_from([CLASSIC, FD]))
 def test_nothing_that_comes_makes_the_firmware_differ_from_the_emulator(firmware, calls, can):
-    reference, now = Run(can), START
-    waiting = 0
-    for wait, frame in calls:
-        now += wait
-        if frame is None or waiting == 15:
-            # The emulator's queue has no end; the firmware's has, see below.
-            reference.cycle_until(now)
-            waiting = 0
-        elif len(frame) == 5:
-            waiting += 1
-            alive, enable, reset, current, back = frame
-            ((_, payload),) = reference.command(alive, False, False, current, back)
-            payload = forged(reference.wire.command, payload, Enable=enable, ResetFault=reset)
-            reference.receive(reference.wire.command.identifier, payload, now)
-        else:
-            reference.receive(*frame, now)
-    reference.cycle_until(now + 10_000_000)
-    judge_equal(reference, firmware / "board_sanitized")
+    waiting, now = 0, START
+    with contextlib.closing(Pair(can, firmware / "board_sanitized")) as run:
+        for wait, frame in calls:
+            now += wait
+            if frame is None or waiting == 15:
+                # The emulator's queue has no end; the firmware's has, see below.
+                run.cycle_until(now)
+                waiting = 0
+            elif len(frame) == 5:
+                waiting += 1
+                alive, enable, reset, current, back = frame
+                ((_, payload),) = run.command(alive, False, False, current, back)
+                payload = forged(run.wire.command, payload, Enable=enable, ResetFault=reset)
+                run.receive(run.wire.command.identifier, payload, now)
+            else:
+                run.receive(*frame, now)
+        run.cycle_until(now + 10_000_000)
+        run.judge_equal()
 
 
-def test_of_more_commands_than_can_wait_the_last_are_refused_and_counted(firmware):
-    with contextlib.closing(Run(FD, firmware / "board_sanitized")) as run:
-        run.cycle(START)
-        for number in range(20):
-            ((identifier, payload),) = run.command(number, number > 0, False, number)
-            run.receive(identifier, payload, START + 1)
-        assert run.board.refused_commands == 4 and run.board.amplifier is State.ON
-        run.cycle(START + 2 * STAGE.period_ns)
-        # The sixteenth was the last that had room: number 15, of 15 counts, in steps of the converter.
-        assert run.currents[-1] == STAGE.drive.converted(15 * CURRENT_COUNT)
+def test_of_more_commands_than_can_wait_the_last_are_refused_and_counted(pair, firmware):
+    run = pair(FD, firmware / "board_sanitized")
+    run.cycle(START)
+    for number in range(20):
+        (frame,) = run.command(number, number > 0, False, number)
+        run.receive(*frame, START + 1)
+    assert run.firmware.refused_commands == 4 and run.firmware.amplifier is State.ON
+    run.cycle(START + 2 * STAGE.period_ns)
+    # The sixteenth was the last that had room: number 15, of 15 counts, in steps of the converter.
+    assert run.currents[1][-1] == STAGE.drive.converted(15 * CURRENT_COUNT)
 
 
 @pytest.mark.parametrize("can", [CLASSIC, FD], ids=["classic", "fd"])
-def test_the_sample_counter_wraps_as_the_emulators_does(firmware_of, tmp_path, can):
+def test_the_sample_counter_wraps_as_the_emulators_does(pair, firmware_of, tmp_path, can):
     dbc = (REPOSITORY / "config/straightcomp.dbc").read_text()
     short = tmp_path / f"short_{'fd' if can.fd else 'classic'}.dbc"
     short.write_text(dbc.replace("4026531839", "3839"))
     can = replace(can, dbc=str(short), wire=shipped_wire(can.fd))
-    reference = bad_loop(can, samples=5000)
-    assert reference.board.counter == 4999 - 3840
-    judge_equal(reference, firmware_of(can, "board_posix"))
+    run = bad_loop(pair(can, firmware_of(can, "board_posix")), samples=5000)
+    assert run.board.counter == 4999 - 3840
+    run.judge_equal()
 
 
 def test_the_frames_in_c_are_those_of_the_dbc():
@@ -283,15 +274,9 @@ def test_the_frames_in_c_are_those_of_the_dbc():
         assert written == text, name
 
 
-def started(can, program, stage=STAGE):
-    board = FirmwareBoard(replace(can, firmware=str(program)), SimulatedParameters(), stage, GUIDE, lambda *_: None)
-    board.start(START)
-    return board
-
-
 def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path):
     with pytest.raises(HardwareError, match=r"firmware '.*nothing' cannot be started: No such file"):
-        started(FD, tmp_path / "nothing")
+        Pair(FD, tmp_path / "nothing")
     for words in ([], ["nonsense=1"], ["node=one"], ["node"]):
         done = subprocess.run([firmware / "board_posix", *words], capture_output=True, text=True, timeout=60)
         assert done.returncode == 1 and f"argument {repr(words[0]) if words else 'machine=...'} is " in done.stderr
@@ -307,7 +292,7 @@ def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, 
 )
 def test_a_program_that_is_not_for_this_board_is_refused(firmware, capfd, can, stage, said):
     with pytest.raises(HardwareError, match="has ended with code 1"):
-        started(can, firmware / "board_posix", stage)
+        Pair(can, firmware / "board_posix", stage)
     found = capfd.readouterr().err
     assert all(words in found for words in said)
 
