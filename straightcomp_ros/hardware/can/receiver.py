@@ -112,36 +112,29 @@ class Receiver:
         self.error_counter = 0
 
     def take(self, frame: Frame, arrival_ns: int) -> None:
-        """Take a frame of any kind: one without data is counted by its kind."""
+        """Take a frame of any kind; one without data, or of no known identifier, is counted."""
+        handler = self._handlers.get(frame.identifier)
         if frame.flags & ERROR:
-            self.receive_error_frame(frame.identifier, frame.data)
+            self._count_error(frame.identifier, frame.data)
         elif frame.flags & REMOTE:
             self.counts["remote"] += 1
-        else:
-            self.receive(frame.identifier, frame.data, arrival_ns)
-
-    def receive(self, identifier: int, payload: bytes, arrival_ns: int) -> None:
-        """Take one frame with data."""
-        handler = self._handlers.get(identifier)
-        if handler is None:
+        elif handler is None:
             self.counts["foreign"] += 1
-            return
-        try:
-            handler(payload, arrival_ns)
-        except FrameError as error:
-            self.counts[str(error)] += 1
-            self.error_counter += _BAD_FRAME
-            if self.error_counter >= self._error_limit:
-                self.error_limit_hits += 1
-                self._begin_anew()
+        else:
+            try:
+                handler(frame.data, arrival_ns)
+            except FrameError as error:
+                self.counts[str(error)] += 1
+                self.error_counter += _BAD_FRAME
+                if self.error_counter >= self._error_limit:
+                    self.error_limit_hits += 1
+                    self._begin_anew()
 
-    def receive_error_frame(self, classes: int, details: bytes) -> None:
-        """Count an error that the interface reports, by the identifier and the payload of Linux's error frame."""
+    def _count_error(self, classes: int, details: bytes) -> None:
+        """An error that the interface reports, by the identifier and the payload of Linux's error frame."""
         self.counts["error_frames"] += 1
-        if classes & _BUS_OFF:
-            self.counts["bus_off"] += 1
-        if classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE:
-            self.counts["error_passive"] += 1
+        self.counts["bus_off"] += bool(classes & _BUS_OFF)
+        self.counts["error_passive"] += bool(classes & _CONTROLLER and len(details) > 1 and details[1] & _PASSIVE)
 
     def _receive(self, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         report = frames.unpack(payload)

@@ -12,6 +12,7 @@ from can_boards import BARE, FOREIGN, PERIOD, START
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Report
+from straightcomp_ros.hardware.can.hub import ERROR, Frame
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import State, Truth
@@ -65,7 +66,7 @@ class Board:
         return self.receiver.samples[-1] if len(self.receiver.samples) > delivered else None
 
     def receive(self, identifier, payload, late_ns=0):
-        self.receiver.receive(identifier, payload, self.start_ns + self.number * PERIOD + late_ns)
+        self.receiver.take(Frame(0, identifier, 0, payload), self.start_ns + self.number * PERIOD + late_ns)
 
     def samples(self, count, lost=0):
         """So many samples after ``lost`` ones."""
@@ -197,11 +198,11 @@ def test_a_status_whose_count_stands_still_is_counted_and_not_taken(tmp_path, to
         # Pages count together, or each by itself.
         alive = (turn if together else turn // len(status.pages)) % status.alive_modulus
         payload = status.pack(said._replace(alive=alive), turn)
-        receiver.receive(status.identifier, payload, START + turn)
+        receiver.take(Frame(0, status.identifier, 0, payload), START + turn)
     assert receiver.sequence.repeated == 0 and (receiver.amplifier, receiver.board_fault) == (State.ON, 0)
     taken_ns = receiver.status_ns
     for late_ns in range(100, 103):
-        receiver.receive(status.identifier, payload, START + late_ns)
+        receiver.take(Frame(0, status.identifier, 0, payload), START + late_ns)
     assert receiver.sequence.repeated == 3 and START + 38 <= receiver.status_ns == taken_ns
 
 
@@ -239,7 +240,7 @@ def test_errors_that_the_interface_reports_are_counted_by_their_classes(board):
         (0x04, b"\x30"),
         (0x02, bytes([0, 0x30])),
     ):
-        board.receiver.receive_error_frame(classes, details)
+        board.receiver.take(Frame(0, classes, ERROR, details), START)
     assert board.refused() == {"error_frames": 6, "bus_off": 1, "error_passive": 2}
     assert board.receiver.error_counter == 0
 
@@ -340,7 +341,7 @@ class WrappedMachine:
             report = Report(self.number % 15, self.number, x, 0.0, 0.0, State.ON, 0, self.good, self.referenced)
             self.receiver.samples.clear()
             arrival_ns = START + self.periods * PERIOD
-            self.receiver.receive(self.frames.identifier, self.frames.pack(report), arrival_ns)
+            self.receiver.take(Frame(0, self.frames.identifier, 0, self.frames.pack(report)), arrival_ns)
             for _, sample, _ in self.receiver.samples:
                 self.watch.look([sample], self.known)
                 if self.known and not self.watch.finding:
