@@ -2,7 +2,7 @@
 
 import random
 
-from straightcomp_ros.hardware.can.can_parameters import ProtectionParameters, WireParameters
+from straightcomp_ros.hardware.can.can_parameters import WireParameters
 from straightcomp_ros.parameters.declaration import from_mapping
 
 _IDS_OF_2 = " ".join(str(37 * number % 256) for number in range(16))
@@ -10,16 +10,18 @@ _X = [("m", 1e-7, 32), ("um", 0.05, 33), ("nm", 10, 40), ("mm", 1, "float"), ("m
 _Y = [("um", 0.1, 20), ("nm", 50, 24), ("m", 1e-8, 32), ("um", 1, "float"), ("mm", -0.001, 33)]
 _CURRENT = [("A", 1e-4, 16), ("mA", 0.05, 18), ("A", 1, "float"), ("mA", 1, "double")]
 _BITS = {"float": 32, "double": 64}
+_PROFILES = ["none", "e2e_1", "e2e_2", "e2e_5", "j1850"]
 _SIZES = (*range(1, 9), 12, 16, 20, 24, 32, 48, 64)
 _HEAD = 'VERSION "1"\nNS_ :\nBS_:\nBU_: X\n\n'
 
 
 class _Message:
-    """A message to whose ``bits`` signals are added, and its text in a DBC file."""
+    """A message to whose ``bits`` signals are added, and its text in a DBC file; ``values`` gets the meaning of those
+    with a role, by the names in a stage file."""
 
-    def __init__(self, chance, name, identifier, cycle_ms=0.5):
+    def __init__(self, chance, name, identifier, cycle_ms=0.5, values=None):
         self.chance, self.name, self.identifier, self.cycle_ms = chance, name, identifier, cycle_ms
-        self.bits, self.lines, self.types = 0, [], []
+        self.bits, self.lines, self.types, self.values = 0, [], [], values
 
     def put(self, name, position, length, big_endian, *, signed=False, kind="", line=(1, 0), unit="", page=""):
         """A signal of the bits from ``position`` on, counted in its own byte order."""
@@ -30,7 +32,7 @@ class _Message:
         if kind:
             self.types.append(f"SIG_VALTYPE_ {self.identifier} {name} : {1 if length == 32 else 2};")
 
-    def add(self, name, length, *, whole=False, own_place=True, **how):
+    def add(self, role, name, length, says=(), *, whole=False, own_place=True, **how):
         """A signal in bytes of its own, somewhere in them unless it fills ``whole`` bytes."""
         kind = length if length in _BITS else ""
         length = _BITS.get(length, length)
@@ -38,21 +40,27 @@ class _Message:
         self.put(name, self.bits + free, length, self.chance.random() < 0.5, kind=kind, **how)
         if own_place:
             self.bits += 8 * -(-(length + free) // 8)
+        if role:
+            meaning = {"message": self.name, "signal": name, **dict(says)}
+            self.values |= {f"{role}.{of}": value for of, value in meaning.items()}
 
-    def quantity(self, name, choices):
+    def quantity(self, role, name, choices, says=()):
         unit, scale, length = self.chance.choice(choices)
         offset = 0 if length in _BITS else self.chance.choice([0, 0, 20 * scale, -7 * scale])
-        self.add(name, length, signed=True, line=(scale, offset), unit=unit)
+        self.add(role, name, length, says, signed=True, line=(scale, offset), unit=unit)
 
-    def protected(self, profile):
-        """Add what a profile needs, and return its parameters."""
-        if profile != "none":
-            self.add(f"{self.name}_CRC", 16 if profile == "e2e_5" else 8, whole=True)
-        width = 4 if profile in ("e2e_1", "e2e_2") else self.chance.choice([4, 8])
-        self.add(f"{self.name}_CNT", width)
+    def switch(self, role, name, **says):
+        self.add(role, name, 4, says, signed=self.chance.random() < 0.5)
+
+    def protect(self, group, profile):
+        """Add what a profile needs, under the names that `wire.protection` has for it."""
+        crc, counter = f"{self.name}_CRC" if profile != "none" else "", f"{self.name}_CNT"
+        if crc:
+            self.add("", crc, 16 if profile == "e2e_5" else 8, whole=True)
+        self.add("", counter, 4 if profile in ("e2e_1", "e2e_2") else self.chance.choice([4, 8]))
         data_id = _IDS_OF_2 if profile == "e2e_2" else "0x0abc" if profile == "e2e_5" else ""
-        crc = f"{self.name}_CRC" if profile != "none" else ""
-        return ProtectionParameters(profile, crc, f"{self.name}_CNT", data_id)
+        meaning = {"profile": profile, "crc": crc, "alive": counter, "data_id": data_id}
+        self.values |= {f"protection.{group}.{of}": value for of, value in meaning.items()}
 
     def text(self):
         size = next(size for size in _SIZES if size >= self.bits // 8)
@@ -90,75 +98,52 @@ def drawn_message(seed):
 
 def drawn_board(seed):
     """The text of a DBC file and the meaning of its signals."""
-    chance = random.Random(seed)
+    chance, values, made = random.Random(seed), {}, []
     number = iter(chance.sample(range(0x100, 0x180), 8))
 
     def message(name, cycle_ms=0.5):
         # Every other identifier has 29 bits.
         identifier = next(number)
-        return _Message(chance, name, identifier | 1 << 31 if identifier % 2 else identifier, cycle_ms)
+        identifier |= 1 << 31 if identifier % 2 else 0
+        made.append(_Message(chance, name, identifier, cycle_ms, values))
+        return made[-1]
 
     # Keywords of C, and names that differ by their case alone.
     first = message("Double")
     second = message("int") if chance.random() < 0.5 else first
     status = message("STATUS", chance.choice([1.0, 3.5]))
     current = chance.choice([first, second, message("Current")])
-    first.quantity("Value", _X)
-    second.quantity("value", _Y)
-    current.quantity("switch", _CURRENT)
-    profile = chance.choice(["none", "e2e_1", "e2e_2", "e2e_5", "j1850"])
-    sample = first.protected(profile)
-    y = second.protected(profile) if second is not first else ProtectionParameters()
-    good = chance.random() < 0.5
-    if good:
-        second.add("Ok", 4, signed=chance.random() < 0.5)
-    pages = chance.random() < 0.5
-    if pages:
-        status.add("Page", 3, page="M ")
-        status.add("Amplifier", 3, page="m2 ", own_place=False)
-        status.add("Fault", 8, page="m5 ")
-    else:
-        status.add("Amplifier", 3)
-        status.add("Fault", 8)
+    first.quantity("x", "Value", _X)
+    second.quantity("y", "value", _Y, {"factor": chance.choice([1.0, -1.0])})
+    current.quantity("current", "switch", _CURRENT)
+    profile = chance.choice(_PROFILES)
+    first.protect("sample", profile)
+    if second is not first:
+        second.protect("y", profile)
+    if chance.random() < 0.5:
+        second.switch("good", "Ok", yes_value=3)
+    page, other, own_place = "", "", True
+    if chance.random() < 0.5:
+        status.add("", "Page", 3, page="M ")
+        page, other, own_place = "m2 ", "m5 ", False
+    states = {"off_value": chance.choice([-1, 0]), "on_value": 5, "fault_value": chance.choice([3, 7])}
+    status.add("amplifier", "Amplifier", 3, states, own_place=own_place, page=page)
+    status.add("fault", "Fault", 8, page=other)
     setting = message("Set")
     switches = message("SET") if chance.random() < 0.5 else setting
-    setting.quantity("Current", _CURRENT)
-    switches.add("Enable", 4, signed=chance.random() < 0.5)
-    reset, echo = chance.random() < 0.7, chance.random() < 0.7
-    if reset:
-        switches.add("Reset", 4, signed=chance.random() < 0.5)
-    if echo:
-        switches.add("Echo", 4)
-    asked = chance.choice(["none", "e2e_1", "e2e_2", "e2e_5", "j1850"])
-    command = setting.protected(asked)
-    enable = switches.protected(asked) if switches is not setting else ProtectionParameters()
-    heart = message("Heart") if chance.random() < 0.5 else None
-    if heart:
-        heart.add("State", 5)
-    used = dict.fromkeys([first, second, status, current, setting, switches, *([heart] if heart else [])])
-    # By the names in a stage file: message, signal, and what else is said of it.
-    roles = {
-        "x": ("Double", "Value", {}),
-        "y": (second.name, "value", {"factor": chance.choice([1.0, -1.0])}),
-        "current": (current.name, "switch", {}),
-        "amplifier": (
-            "STATUS",
-            "Amplifier",
-            {"off_value": chance.choice([-1, 0]), "on_value": 5, "fault_value": chance.choice([3, 7])},
-        ),
-        "fault": ("STATUS", "Fault", {}),
-        "command": ("Set", "Current", {}),
-        "enable": (switches.name, "Enable", {"no_value": 1, "yes_value": 2}),
-        **({"good": (second.name, "Ok", {"yes_value": 3})} if good else {}),
-        **({"reset": (switches.name, "Reset", {"no_value": 2, "yes_value": 5})} if reset else {}),
-        **({"echo": (switches.name, "Echo", {})} if echo else {}),
-        **({"heartbeat": ("Heart", "State", {"boot_up_value": 3, "operational_value": 17})} if heart else {}),
-    }
-    values = {}
-    for role, (named, signal, more) in roles.items():
-        values |= {f"{role}.{name}": value for name, value in ({"message": named, "signal": signal} | more).items()}
-    for part, protected in (("sample", sample), ("y", y), ("command", command), ("enable", enable)):
-        values |= {f"protection.{part}.{name}": value for name, value in vars(protected).items()}
+    setting.quantity("command", "Current", _CURRENT)
+    switches.switch("enable", "Enable", no_value=1, yes_value=2)
+    if chance.random() < 0.7:
+        switches.switch("reset", "Reset", no_value=2, yes_value=5)
+    if chance.random() < 0.7:
+        switches.add("echo", "Echo", 4)
+    profile = chance.choice(_PROFILES)
+    setting.protect("command", profile)
+    if switches is not setting:
+        switches.protect("enable", profile)
+    if chance.random() < 0.5:
+        message("Heart").add("heartbeat", "State", 5, {"boot_up_value": 3, "operational_value": 17})
+    used = [one for one in made if one.lines]
     lines = ['BA_DEF_ BO_ "GenMsgCycleTime" FLOAT 0 10000;', 'BA_DEF_DEF_ "GenMsgCycleTime" 0;']
     lines += [f'BA_ "GenMsgCycleTime" BO_ {one.identifier} {one.cycle_ms};' for one in used]
     text = _HEAD + "\n".join([*(one.text() for one in used), *lines, *(line for one in used for line in one.types), ""])
