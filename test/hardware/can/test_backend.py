@@ -313,17 +313,9 @@ def test_off_is_obeyed_without_the_other_message_of_its_command_and_a_current_wi
     assert split.board.amplifier is State.OFF
 
 
-def test_an_off_that_was_lost_is_said_again(running):
-    running.to_board = False
-    running.host.disable()
-    assert running.board.amplifier is State.ON
-    running.to_board, running.commands = True, False
-    running.run(0.002)
-    assert running.board.amplifier is State.OFF
-
-
-def test_a_board_that_stays_on_is_a_fault_once_a_state_after_its_time_says_so(running):
+def test_a_board_that_stays_on_gets_off_in_each_cycle_and_is_a_fault_once_a_state_after_its_time_says_so(running):
     running.welded, within = True, running.host._parameters.answer_timeout
+    running.commands = False
     running.host.disable()
     with pytest.raises(HardwareError, match="has not switched its amplifier off"):
         running.host.enable()
@@ -343,6 +335,7 @@ def test_a_board_that_stays_on_is_a_fault_once_a_state_after_its_time_says_so(ru
     running.welded = False
     running.run(0.001)
     assert running.board.amplifier is State.OFF
+    running.commands = True
     running.off_again()
 
 

@@ -12,6 +12,7 @@ import cantools
 import crccheck.crc
 import pytest
 from cantools import autosar
+from cantools.database.can import Message, Signal
 from drawn_dbc import drawn_message
 from forgery import forged
 from hypothesis import given
@@ -188,8 +189,6 @@ BO_ 1 One: 8 A
  SG_ Small : 0|12@1- (0.5,10) [-5|20] "m" B
  SG_ Free : 12|12@1- (0.5,10) [0|0] "m" B
  SG_ Real : 32|32@1- (1,0) [-2|2] "m" B
-BA_DEF_ SG_ "GenSigStartValue" FLOAT 0 100000;
-BA_DEF_DEF_ "GenSigStartValue" 0;
 SIG_VALTYPE_ 1 Real : 1;
 """
 
@@ -215,33 +214,21 @@ def test_a_value_beyond_the_limits_of_file_or_bits_is_refused_by_name(signal, al
             frames.pack((value,))
 
 
-PROTECTED_DBC = """VERSION ""
-NS_ :
-BS_:
-BU_: A B
-BO_ 1 First: 8 A
- SG_ Crc : 0|8@1+ (1,0) [0|0] "" B
- SG_ Alive : 8|4@1+ (1,0) [0|0] "" B
- SG_ Value : 16|48@1+ (1,0) [0|0] "" B
-BO_ 2 Wide: 8 A
- SG_ Crc : 0|16@1+ (1,0) [0|0] "" B
- SG_ Alive : 16|8@1+ (1,0) [0|0] "" B
- SG_ Value : 24|40@1+ (1,0) [0|0] "" B
-BO_ 3 Last: 8 A
- SG_ Value : 7|48@0+ (1,0) [0|0] "" B
- SG_ Alive : 51|4@0+ (1,0) [0|0] "" B
- SG_ Odd : 55|3@0+ (1,0) [0|0] "" B
- SG_ Crc : 63|8@0+ (1,0) [0|0] "" B
-"""
-MESSAGES = cantools.database.load_string(PROTECTED_DBC, "dbc")
+def message(order="little_endian", **places):
+    """A message of 8 bytes with these unsigned signals: first bit and number of bits."""
+    return Message(1, "One", 8, [Signal(name, *place, order) for name, place in places.items()])
 
 
-def protected(message, profile, ids):
+FIRST = message(Crc=(0, 8), Alive=(8, 4), Value=(16, 48))
+WIDE = message(Crc=(0, 16), Alive=(16, 8), Value=(24, 40))
+LAST = message("big_endian", Value=(7, 48), Alive=(51, 4), Crc=(63, 8))
+
+
+def protected(described, profile, ids):
     """Frames with a message's alive counter and value under a profile."""
-    described = MESSAGES.get_message_by_name(message)
-    signals = {"alive": described.get_signal_by_name("Alive"), "value": described.get_signal_by_name("Value")}
-    crc = Crc(described, described.get_signal_by_name("Crc"), signals["alive"], profile, ids)
-    return Frames(described, 1, signals, crc=crc)
+    crc, alive, value = map(described.get_signal_by_name, ("Crc", "Alive", "Value"))
+    sealed = Crc(described, crc, alive, profile, ids)
+    return Frames(described, 1, {"alive": alive, "value": value}, crc=sealed)
 
 
 def profile_1(payload, place, data_id):
@@ -250,17 +237,17 @@ def profile_1(payload, place, data_id):
 
 @given(st.integers(0, 14), st.integers(0, 2**40 - 1), st.integers(0, 0xFFFF))
 def test_crcs_are_those_of_other_implementations(alive, value, data_id):
-    for message, profile, ids, expected in (
-        ("First", "e2e_1", [data_id], lambda payload: payload[0] == profile_1(payload, 0, data_id)),
-        ("Last", "e2e_1", [data_id], lambda payload: payload[7] == profile_1(payload, 7, data_id)),
-        ("First", "e2e_2", IDS_OF_2, lambda payload: autosar.check_profile2_crc(payload, IDS_OF_2[alive])),
-        ("Wide", "e2e_5", [data_id], lambda payload: autosar.check_profile5_crc(payload, data_id)),
-        ("First", "j1850", [], lambda payload: payload[0] == crccheck.crc.Crc8SaeJ1850.calc(payload[1:])),
-        ("Last", "j1850", [], lambda payload: payload[7] == crccheck.crc.Crc8SaeJ1850.calc(payload[:7])),
+    for described, profile, ids, expected in (
+        (FIRST, "e2e_1", [data_id], lambda payload: payload[0] == profile_1(payload, 0, data_id)),
+        (LAST, "e2e_1", [data_id], lambda payload: payload[7] == profile_1(payload, 7, data_id)),
+        (FIRST, "e2e_2", IDS_OF_2, lambda payload: autosar.check_profile2_crc(payload, IDS_OF_2[alive])),
+        (WIDE, "e2e_5", [data_id], lambda payload: autosar.check_profile5_crc(payload, data_id)),
+        (FIRST, "j1850", [], lambda payload: payload[0] == crccheck.crc.Crc8SaeJ1850.calc(payload[1:])),
+        (LAST, "j1850", [], lambda payload: payload[7] == crccheck.crc.Crc8SaeJ1850.calc(payload[:7])),
     ):
-        frames = protected(message, profile, ids)
+        frames = protected(described, profile, ids)
         payload = frames.pack((alive, value))
-        assert expected(payload), (message, profile)
+        assert expected(payload), profile
         assert frames.unpack(payload) == (alive, value)
         for byte in range(len(payload)):
             wrong = payload[:byte] + bytes([payload[byte] ^ 0x10]) + payload[byte + 1 :]
@@ -269,9 +256,9 @@ def test_crcs_are_those_of_other_implementations(alive, value, data_id):
 
 
 def test_profile_1_gives_the_examples_of_autosar_for_data_id_0x123_and_alone_reserves_the_count_15():
-    frames = protected("First", "e2e_1", [0x123])
+    frames = protected(FIRST, "e2e_1", [0x123])
     assert [frames.pack((alive, 0))[0] for alive in (0, 1)] == [0xCC, 0x91] and frames.alive_modulus == 15
-    assert protected("First", "e2e_2", IDS_OF_2).alive_modulus == protected("First", "j1850", []).alive_modulus == 16
+    assert protected(FIRST, "e2e_2", IDS_OF_2).alive_modulus == protected(FIRST, "j1850", []).alive_modulus == 16
 
 
 def test_data_ids_are_the_can_identifier_where_none_is_given():
