@@ -32,17 +32,6 @@ def survey(tmp_path):
 
 
 @pytest.fixture
-def printed(verb):
-    """Exit code, figures and standard error of a verb with ``--json``."""
-
-    def run(*words):
-        found = verb(*words, "--json")
-        return found.code, found.json, found.err
-
-    return run
-
-
-@pytest.fixture
 def new(verb):
     """``new(folder, …)`` runs `straightcomp stage new`."""
     return lambda folder, *options: verb("stage", "new", folder, "--yes", *options)
@@ -116,12 +105,12 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
 
 
 @pytest.mark.parametrize(("stroke", "worst"), [(1.76, "ok"), (1.77, "warn"), (2.0, "fail")])
-def test_a_check_fails_exactly_where_a_finding_does_and_a_new_stage_has_none(tmp_path, new, printed, stroke, worst):
+def test_a_check_fails_exactly_where_a_finding_does_and_a_new_stage_has_none(tmp_path, new, verb, stroke, worst):
     assert new(tmp_path / "one", *([] if worst == "ok" else [f"--set=motion.stroke={stroke}"])).code == 0
-    code, found, _ = printed("stage", "check", tmp_path / "one" / "stage.yaml")
-    states = {check["state"] for check in found["checks"]}
+    found = verb("stage", "check", tmp_path / "one" / "stage.yaml", "--json")
+    states = {check["state"] for check in found.json["checks"]}
     assert worst in states and (worst != "ok" or states == {"ok"})
-    assert code == (1 if found["fail"] else 0) == (1 if "fail" in states else 0)
+    assert found.code == (1 if found.json["fail"] else 0) == (1 if "fail" in states else 0)
 
 
 @pytest.mark.parametrize(
@@ -148,28 +137,30 @@ def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path,
         assert found.code == 2 and "'stage.rate': 2000 Hz; allowed: 1000 Hz" in found.err
 
 
-def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, printed):
+def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, verb):
     (tmp_path / "stage.yaml").write_text("/**:\n  ros__parameters:\n    stage.guide.file: nowhere.csv\n")
-    code, found, _ = printed("stage", "check", tmp_path / "stage.yaml")
-    assert code == 1 and found["checks"][0]["detail"] == f"survey {tmp_path}/nowhere.csv: there is no such file"
+    found = verb("stage", "check", tmp_path / "stage.yaml", "--json")
+    assert found.code == 1
+    assert found.json["checks"][0]["detail"] == f"survey {tmp_path}/nowhere.csv: there is no such file"
 
 
-def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, new, survey, printed):
+def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, new, survey, verb):
     text = survey(100, 700).read_text().splitlines()
     wrong = [",".join((x, f"{float(y) * 1e-2:.9f}")) for x, y in (line.split(",") for line in text[1:])]
     (tmp_path / "measured.csv").write_text("\n".join([text[0], *wrong]))
     assert new(tmp_path / "one", "--survey", tmp_path / "measured.csv").code == 0
-    _, found, _ = printed("stage", "check", tmp_path / "one" / "stage.yaml")
+    found = verb("stage", "check", tmp_path / "one" / "stage.yaml", "--json").json
     (check,) = (one for one in found["checks"] if one["name"] == "correction")
     assert check["state"] == "warn" and "unit of the survey" in check["remedy"]
 
 
-def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, new, printed, verb):
+def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, new, verb):
     assert new(tmp_path / "one").code == 0
     stage = tmp_path / "one" / "stage.yaml"
-    code, found, _ = printed("stage", "show", stage)
+    shown = verb("stage", "show", stage, "--json")
+    found = shown.json
     # (3): K̄_i = μ0 N² A I0 / y0², K̄_y = K̄_i I0 / y0; two significant digits of docs/evidence/plant.md.
-    assert code == 0 and found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
+    assert shown.code == 0 and found["current_stiffness_N_per_A"] == pytest.approx(44.68, abs=0.01)
     assert found["position_stiffness_N_per_m"] == pytest.approx(44.68 / 1.5e-3, rel=1e-3)
     assert found["dead_time_ms"] == pytest.approx(0.75 + 1e3 / (2 * 3.14159 * 500), rel=1e-4)
     assert found["dac_force_mN"] == pytest.approx(44.68 * 2.0 / 4.096, rel=1e-3)
@@ -177,18 +168,19 @@ def test_what_follows_from_a_stage_is_what_the_equations_say(tmp_path, new, prin
     assert found["phase_deg"] > 10.0
     assert "dead time" in verb("stage", "show", stage).out
     stage.write_text(stage.read_text() + "/**/controller: {ros__parameters: {control: {law: open_loop}}}\n")
-    found = printed("stage", "show", stage)[1]
+    found = verb("stage", "show", stage, "--json").json
     assert (found["law"], found["phase_deg"], found["longest_delay_s"]) == ("open_loop", None, None)
 
 
 @pytest.mark.parametrize("back", [False, True])
 def test_a_simulation_finds_the_survey_beside_the_stage_and_its_guide_is_the_surveyed_one(
-    tmp_path, new, survey, printed, monkeypatch, back
+    tmp_path, new, survey, verb, monkeypatch, back
 ):
     assert new(tmp_path / "mine", "--survey", survey(100, 700, back=back), *SHORT).code == 0
     monkeypatch.chdir("/")
-    code, found, _ = printed("simulate", "--stage", tmp_path / "mine" / "stage.yaml")
-    assert code == 0 and found["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
+    simulated = verb("simulate", "--stage", tmp_path / "mine" / "stage.yaml", "--json")
+    found = simulated.json
+    assert simulated.code == 0 and found["duration_s"] == pytest.approx(2 * (0.6 / 0.1 + 0.1 / 0.5) + 0.5, abs=0.1)
     x = np.arange(100.0, 700.0)
     straight = np.polyval(np.polyfit(x, bend(x), 1), x)
     assert found["uncompensated_pp_um"] == pytest.approx(np.ptp(bend(x) - straight), rel=0.02)
@@ -199,17 +191,17 @@ def test_a_simulation_finds_the_survey_beside_the_stage_and_its_guide_is_the_sur
     ("given", "most_um"),
     [("platform.mass=8", 0.3), ("motion.speed=1.0 motion.acceleration=5.0 motion.highest_speed=2.5", 0.35)],
 )
-def test_a_stage_of_another_mass_or_speed_is_compensated_as_the_shipped_one(printed, given, most_um):
-    code, found, said = printed("simulate", *(f"--set=stage.{one}" for one in given.split()))
-    assert (code, found["verdict"], said) == (0, "in_order", "") and found["true_pp_um"] < most_um
-    assert found["missing_margin"] is None
+def test_a_stage_of_another_mass_or_speed_is_compensated_as_the_shipped_one(verb, given, most_um):
+    found = verb("simulate", *(f"--set=stage.{one}" for one in given.split()), "--json")
+    assert (found.code, found.json["verdict"], found.err) == (0, "in_order", "")
+    assert found.json["true_pp_um"] < most_um and found.json["missing_margin"] is None
 
 
-def test_half_the_rate_is_refused_by_the_controller_and_the_simulation_says_so(printed):
-    code, found, said = printed("simulate", "--set", "stage.rate=1000")
-    assert code == 0 and found["verdict"] == "in_order"
-    assert "at 1000 Hz" in found["missing_margin"] and "straightcomp design" in found["missing_margin"]
-    assert found["missing_margin"] in " ".join(said.split())
+def test_half_the_rate_is_refused_by_the_controller_and_the_simulation_says_so(verb):
+    found = verb("simulate", "--set", "stage.rate=1000", "--json")
+    missing = found.json["missing_margin"]
+    assert found.code == 0 and found.json["verdict"] == "in_order"
+    assert "at 1000 Hz" in missing and "straightcomp design" in missing and missing in " ".join(found.err.split())
 
 
 def test_the_identity_differs_between_machines_and_not_with_their_strokes():

@@ -34,7 +34,7 @@ from straightcomp_ros.hardware.can.frames import (
     data_ids,
 )
 from straightcomp_ros.hardware.interface import State
-from straightcomp_ros.parameters.declaration import RefusedParameter, to_mapping
+from straightcomp_ros.parameters.declaration import RefusedParameter
 
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
@@ -167,9 +167,7 @@ class Wire:
     def source(self) -> str:
         """Name of the DBC file, and a checksum of it with the meaning: by it a firmware knows whether it has these
         frames."""
-        usual = to_mapping(WireParameters())
-        given = {name: value for name, value in to_mapping(self.meaning).items() if value != usual[name]}
-        content = self.dbc.path.read_bytes() + repr(sorted(given.items())).encode()
+        content = self.dbc.path.read_bytes() + repr(sorted(self.meaning.given.items())).encode()
         # It stands in texts of C.
         name = re.sub(r"[^A-Za-z0-9._-]", "_", self.dbc.path.name)
         return f"{name} {hashlib.sha256(content).hexdigest()[:12]}"

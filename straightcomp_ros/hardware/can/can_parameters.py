@@ -5,7 +5,7 @@ Names of messages and signals are those of the file; where they lie, their scale
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter, to_mapping
 
@@ -129,6 +129,12 @@ class WireParameters:
     protection: ProtectedMessages = group(ProtectedMessages)
 
     @property
+    def given(self) -> dict[str, Any]:
+        """What differs from the defaults, by its name."""
+        usual = to_mapping(WireParameters())
+        return {name: value for name, value in to_mapping(self).items() if value != usual[name]}
+
+    @property
     def readback_lag(self) -> int:
         """Samples by which the measured current is older than the readings that it comes with.
 
@@ -190,7 +196,7 @@ class CanParameters:
 
     def __post_init__(self) -> None:
         self.further_options()
-        if self.dbc or self.wire != WireParameters():
+        if self.dbc or self.wire.given:
             # The package's own is known to be right, and reading it takes half a second.
             self.make_wire()
         if self.log and not self.log.lower().endswith(_LOG_ENDINGS):
@@ -205,10 +211,8 @@ class CanParameters:
             path = os.path.expanduser(self.dbc)
             modified = os.stat(path).st_mtime_ns if os.path.exists(path) else 0
             return wire_of(self.dbc, modified, self.wire, self.node, self.fd)
-        usual = to_mapping(WireParameters())
-        for name, value in to_mapping(self.wire).items():
-            if value != usual[name]:
-                raise RefusedParameter(f"wire.{name}", f"{value!r} is not allowed without a file in '{{group}}dbc'")
+        for name, value in self.wire.given.items():
+            raise RefusedParameter(f"wire.{name}", f"{value!r} is not allowed without a file in '{{group}}dbc'")
         return wire_of(SHIPPED_DBC, 0, shipped_wire(self.fd), self.node, self.fd)
 
     def further_options(self) -> dict[str, str]:

@@ -30,7 +30,7 @@ FLOATS = {32: "f", 64: "d"}
 """struct's letters by the bits of a float."""
 _FLOAT_SIZES = {"1": "32", "2": "64"}
 """Bits by the number of SIG_VALTYPE_."""
-_LARGEST_FLOAT = {32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
+LARGEST_FLOAT = {32: (2 - 2.0**-23) * 2.0**127, 64: sys.float_info.max}
 _WHOLE = {
     "VERSION": r'VERSION\s*"',
     "NS_": r"(?!)",
@@ -205,7 +205,7 @@ def is_fd(message: Message) -> bool:
 def limits(signal: Signal, *, narrowed: bool = True) -> tuple[float, float]:
     """Least and largest raw value: what the signal's bits can hold, ``narrowed`` by the file's minimum and maximum."""
     if signal.is_float:
-        least, largest = -_LARGEST_FLOAT[signal.length], _LARGEST_FLOAT[signal.length]
+        least, largest = -LARGEST_FLOAT[signal.length], LARGEST_FLOAT[signal.length]
     elif signal.is_signed:
         least, largest = -(2 ** (signal.length - 1)), 2 ** (signal.length - 1) - 1
     else:

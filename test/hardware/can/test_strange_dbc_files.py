@@ -246,6 +246,7 @@ MULTIPLEXED = MULTIPLEXED.replace("POS_X : 0|32", "POS_X : 0|16").replace(
 )
 SET_COUNT = "SET_CNT : 24|8@1+ (1,0) ["
 COUNT, TWICE = "CNT : 48|8@1+ (1,0) [", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'
+HUGE, FACTORS = ("9" * 309, "9" * 900, "1e999"), ("0", "1e-307", "1e-320", "1e-30", "1e30", "1e307")
 AGAIN = '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n'
 REFUSED = {
     "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), "x.signal", "-714748"),
@@ -256,28 +257,20 @@ REFUSED = {
         *(with_line(f"{SET_COUNT}0|255]", f"{SET_COUNT}1|255]"), "protection.command.alive", "from 1"),
     ),
     "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
-    "a factor of 0": (with_line("(0.05,0)", "(0,0)"), "y.signal", "POS_Y"),
-    "a factor without end": (with_line("(0.05,0)", "(1e999,0)"), "y.signal", "inf"),
     **{
-        f"{len(number)} digits for {what}": (
+        f"{what} of {number:.9} ({len(number)}) in {kind}": (
             with_line("(0.05,0) [0|0]", kind.format(number)),
             "y.signal",
-            f"POS_Y.*{what}",
+            what,
         )
-        for number in ("9" * 309, "9" * 900, "1e999")
-        for what, kind in (
-            *(("factor", "({},0) [0|0]"), ("offset", "(0.05,{}) [0|0]")),
-            *(("minimum", "(0.05,0) [-{}|5]"), ("maximum", "(0.05,0) [-5|{}]")),
+        for what, kind, numbers in (
+            ("factor", "({},0) [0|0]", [*HUGE, *FACTORS]),
+            ("factor", "({},0) [-100|100]", FACTORS),
+            ("offset", "(0.05,{}) [0|0]", HUGE),
+            ("minimum", "(0.05,0) [-{}|5]", HUGE),
+            ("maximum", "(0.05,0) [-5|{}]", HUGE),
         )
-    },
-    **{
-        f"a factor of {factor} within {ends}": (
-            with_line("(0.05,0) [0|0]", f"({factor},0) {ends}"),
-            "y.signal",
-            "factor",
-        )
-        for factor in ("1e-307", "1e-320", "1e-30", "1e30", "1e307")
-        for ends in ("[0|0]", "[-100|100]")
+        for number in numbers
     },
     "a message without end": (with_line("MEAS: 8", "MEAS: 4294967295"), "x.message", "BO_"),
     **{
