@@ -114,8 +114,8 @@ def test_a_reading_beyond_the_limits_of_the_dbc_is_not_good():
     payload = FD.sample.pack(REPORT, 0)
     assert FD.sample.unpack(payload).good
     # In two's complement the count below all allowed ones.
-    assert not FD.sample.unpack(forged(FD.sample, payload, StageX=2**25)).good
-    assert not FD.sample.unpack(forged(FD.sample, payload, PlatformY=2**19)).good
+    assert not FD.sample.unpack(forged(FD.sample, payload, StageX=-(2**25))).good
+    assert not FD.sample.unpack(forged(FD.sample, payload, PlatformY=-(2**19))).good
 
 
 @BUSES
