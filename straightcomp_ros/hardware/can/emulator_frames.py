@@ -51,7 +51,8 @@ class EmulatorFrames:
         self.orders = {frames.identifier: frames for frames in found[:4]}
         """The frames of a trajectory and of its pace, by identifier."""
         self.truth_id = self._truth.identifier
-        self._points = self._empty()
+        self._came: dict[tuple[int, int], bytes] = {}
+        """Payloads of times and motions by identifier and number of the point."""
 
     def stage_payloads(self, waypoints: Sequence[Waypoint]) -> list[tuple[int, bytes]]:
         """Identifier and payload of each frame that moves a simulated stage, in the order of sending; without points it
@@ -87,10 +88,6 @@ class EmulatorFrames:
         counter, *numbers = self._truth.unpack(payload)
         return counter, Truth(*numbers)
 
-    def _empty(self) -> dict[int, dict[int, tuple[bytes, tuple[int | float, ...]]]]:
-        """Payload and values of times and motions by their numbers."""
-        return {self.time.identifier: {}, self.motion.identifier: {}}
-
     def obey(self, identifier: int, payload: bytes, machine: Hardware, at_ns: int) -> None:
         """Take one frame, and move ``machine`` from ``at_ns`` on with the one that starts the motion."""
         frames = self.orders.get(identifier)
@@ -102,7 +99,7 @@ class EmulatorFrames:
                 hold, end = values
                 machine.pace(Pace(float(number), bool(hold), bool(end)))
             elif frames is not self.start:
-                self._points[identifier][number] = payload, tuple(values)
+                self._came[identifier, number] = payload
             elif points := self._gathered(number, *values):
                 machine.move(Trajectory(points), at_ns)
             else:
@@ -114,12 +111,13 @@ class EmulatorFrames:
 
     def _gathered(self, number: int, seal: int) -> list[Waypoint]:
         """The points that came; HardwareError if frames of them were lost or damaged."""
-        (times, motions), self._points = self._points.values(), self._empty()
+        came, self._came = self._came, {}
         refused = f"stage trajectory of {number} points is refused"
         try:
-            points = [(times[k], motions[k]) for k in range(number)]
+            sent = [came[frames.identifier, k] for k in range(number) for frames in (self.time, self.motion)]
         except KeyError as error:
             raise HardwareError(f"{refused}: frames of it are missing") from error
-        if zlib.crc32(b"".join(sent for point in points for sent, _ in point)) != seal:
+        if zlib.crc32(b"".join(sent)) != seal:
             raise HardwareError(f"{refused}: its CRC-32 is wrong")
-        return [Waypoint(int(time[0]), *motion) for (_, time), (_, motion) in points]
+        times, motions = map(self.time.unpack, sent[::2]), map(self.motion.unpack, sent[1::2])
+        return [Waypoint(int(time_ns), *motion) for (_, time_ns), (_, *motion) in zip(times, motions, strict=True)]
