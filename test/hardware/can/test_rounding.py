@@ -42,7 +42,7 @@ LARGE = st.floats(-(2.0**62), 2.0**62) | st.integers(-(2**53), 2**53).map(float)
 @given(value=SMALL | LARGE)
 def test_a_real_number_is_rounded_as_python_does(core, value):
     value = core.real(value)
-    assert core.nearest_of_many(value) == round(value)
+    assert core.nearest_of_many(value) == nearest_step(1.0, 2**63, value) == round(value)
     assert abs(value) >= 2.0**30 or core.nearest(value) == round(value)
 
 
@@ -53,10 +53,3 @@ def test_a_real_number_is_rounded_as_python_does(core, value):
 )
 def test_counts_are_scaled_by_a_fraction_as_python_rounds_it(core, counts, numerator, denominator):
     assert core.scaled(Scale(numerator, denominator), counts) == round(Fraction(counts * numerator, denominator))
-
-
-@pytest.mark.parametrize(
-    ("current", "code"), [(0.5, 0), (1.5, 2), (2.5, 2), (-0.5, 0), (-1.5, -2), (7.5, 7), (-8.5, -8), (99, 7)]
-)
-def test_the_converters_code_of_a_tie_is_the_even_one_within_its_range(current, code):
-    assert nearest_step(1.0, 8, current) == code
