@@ -306,6 +306,7 @@ def test_a_sample_lost_without_a_counter_is_found_by_the_clock_and_a_silence_bey
 
 TURN = 2**22
 """Counts of an encoder of 22 bits: 0.42 m, of which the stage's travel has several."""
+NARROW = "18|22@1- (1E-007,0) [-0.2|0.2]"
 
 
 def board_with(folder, x):
@@ -314,12 +315,6 @@ def board_with(folder, x):
     text = share_path("config/straightcomp.dbc").read_text()
     file.write_text(text.replace("18|26@1- (1E-007,0) [-3.3554431|3.3554431]", x))
     return CanParameters(fd=True, dbc=str(file), wire=replace(shipped_wire(True), x_wraps=True), y_speed=0.02)
-
-
-@pytest.fixture(scope="module")
-def narrow(tmp_path_factory):
-    """A counter of x of 22 bits."""
-    return board_with(tmp_path_factory.mktemp("narrow"), "18|22@1- (1E-007,0) [-0.2|0.2]")
 
 
 class WrappedMachine:
@@ -390,9 +385,9 @@ class WrappedMachine:
 
 
 @pytest.mark.parametrize("events", [400, pytest.param(20_000, marks=pytest.mark.nightly)])
-def test_no_wrong_x_is_used_whatever_happens_to_the_reference_and_the_counter(narrow, events):
+def test_no_wrong_x_is_used_whatever_happens_to_the_reference_and_the_counter(tmp_path, events):
     stage = replace(SLOW_STAGE, motion=replace(SLOW_STAGE.motion, stroke=1.76))
-    machine = WrappedMachine(narrow, events, stage)
+    machine = WrappedMachine(board_with(tmp_path, NARROW), events, stage)
     machine.samples(BLOCK)
     kinds = machine.home, machine.home, machine.lose, machine.restart, machine.pause, machine.move_index
     for _ in range(events):
@@ -401,10 +396,10 @@ def test_no_wrong_x_is_used_whatever_happens_to_the_reference_and_the_counter(na
     assert machine.wrong == 0 and machine.used > 5 * events
 
 
-def test_a_turn_of_the_counter_that_is_alone_on_the_travel_needs_no_homing(narrow):
+def test_a_turn_of_the_counter_that_is_alone_on_the_travel_needs_no_homing(tmp_path):
     short = replace(SLOW_STAGE, motion=replace(SLOW_STAGE.motion, stroke=0.3))
     for at in (0, 2_500_000, TURN // 2 - 1, TURN // 2):
-        machine = WrappedMachine(narrow, 1, short)
+        machine = WrappedMachine(board_with(tmp_path, NARROW), 1, short)
         machine.at = at
         machine.samples(3 * BLOCK)
         assert machine.used and not machine.wrong and not machine.receiver.ambiguous

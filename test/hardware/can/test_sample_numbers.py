@@ -1,5 +1,7 @@
 """Number and time of a sample: which frames belong to it, its number from a counter that wraps, its place on a line."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
@@ -138,24 +140,13 @@ def test_a_clock_that_was_interrupted_is_found_again_and_time_gives_the_number_o
     assert clock.elapsed(3999, START + 4056 * PERIOD) == pytest.approx(7)
 
 
-class Clock:
-    """Sample n comes at n periods."""
-
-    settled = True
-
-    def elapsed(self, index, arrival_ns):
-        return arrival_ns / PERIOD - index
-
-    def observe(self, index, arrival_ns):
-        pass
-
-    def reset(self):
-        pass
+CLOCK = Mock(settled=True, elapsed=lambda index, arrival_ns: arrival_ns / PERIOD - index)
+"""Sample n comes at n periods."""
 
 
 def sequence(newest=None):
     """A sequence with a full counter in frames of its own; ``newest`` is its newest sample."""
-    found = SampleNumbers(Clock(), PERIOD, ALIVE_MODULUS, COUNTER_MODULUS)
+    found = SampleNumbers(CLOCK, PERIOD, ALIVE_MODULUS, COUNTER_MODULUS)
     if newest is not None:
         found.accept(newest, 1, 0)
     return found
@@ -193,7 +184,7 @@ def test_the_newest_256_samples_that_were_lost_may_still_come_once_and_any_other
 @pytest.mark.parametrize(("modulus", "told_apart"), [(256, 251), (16, 11), (4, 2)])
 def test_numbers_start_anew_after_a_silence_that_a_board_s_only_count_cannot_tell(modulus, told_apart):
     for silence in range(1, told_apart + 1):
-        found = SampleNumbers(Clock(), PERIOD, modulus)
+        found = SampleNumbers(CLOCK, PERIOD, modulus)
         found.accept(100, 1, 0)
         anew = silence == told_apart
         assert found.ahead((100 + silence) % modulus, (100 + silence) * PERIOD) == (1 if anew else silence)
@@ -202,7 +193,7 @@ def test_numbers_start_anew_after_a_silence_that_a_board_s_only_count_cannot_tel
 
 @pytest.mark.parametrize("lost", [0, 1, 3])
 def test_frames_without_a_count_that_are_late_singly_lose_nothing_and_eight_in_a_row_show_what_was_lost(lost):
-    found, late = SampleNumbers(Clock(), PERIOD, 0), (0.0, 3.0, 0.2)
+    found, late = SampleNumbers(CLOCK, PERIOD, 0), (0.0, 3.0, 0.2)
     for k in range(100):
         taken = k + lost * (k >= 50)
         arrival = round((taken + late[k % 3]) * PERIOD)
