@@ -7,6 +7,7 @@ import random
 import re
 import struct
 from collections import Counter
+from unittest.mock import Mock
 
 import cantools
 import crccheck.crc
@@ -267,23 +268,16 @@ def test_data_ids_are_the_can_identifier_where_none_is_given():
     assert data_ids(" ".join(map(str, IDS_OF_2)), "e2e_2", 1) == IDS_OF_2
 
 
-class Machine:
-    """What the simulated stage of an emulated board was asked for by frames."""
+def emulated():
+    """A machine behind an emulated board, and what takes frames for it and says why they were refused."""
+    machine, emulator = Mock(), EmulatorFrames(FD)
 
-    def __init__(self):
-        self.moves, self.paces, self._frames = [], [], EmulatorFrames(FD)
-
-    def move(self, trajectory, at_ns):
-        self.moves.append(trajectory.waypoints)
-
-    def pace(self, pace):
-        self.paces.append(pace)
-
-    def received(self, *frames):
-        """Why these frames were refused."""
+    def received(*frames):
         for identifier, payload in frames:
-            self._frames.obey(identifier, payload, self, 0)
-        return self._frames.refused
+            emulator.obey(identifier, payload, machine, 0)
+        return emulator.refused
+
+    return machine, received
 
 
 def damaged(payload, byte):
@@ -294,7 +288,7 @@ def test_a_trajectory_is_what_the_dbc_says_and_comes_back_to_ten_nanometres_and_
     motion, time = EMULATED.get_message_by_name("StageMotion"), EMULATED.get_message_by_name("StageTime")
     far = [Waypoint(2**55 - 1, -0.123456785, -0.12346), Waypoint(2**55, 1.76, 0.0)]
     points = [*forward_and_back(MotionParameters(stroke=1.2, speed=0.25)), *far]
-    machine, frames = Machine(), EMULATOR.stage_payloads(points)
+    (machine, received), frames = emulated(), EMULATOR.stage_payloads(points)
     assert [identifier for identifier, _ in frames] == [0x401, 0x481] * len(points) + [0x501]
     for number, point in enumerate(points):
         (_, at), (_, where) = frames[2 * number : 2 * number + 2]
@@ -302,14 +296,14 @@ def test_a_trajectory_is_what_the_dbc_says_and_comes_back_to_ten_nanometres_and_
         said = {"MotionNumber": number, "Position": point.position, "Velocity": point.velocity}
         assert motion.decode(where) == pytest.approx(said, abs=0.51e-5)
         assert motion.decode(where)["Position"] == pytest.approx(point.position, abs=0.51e-8)
-    assert not machine.received(*frames)
-    (moved,) = machine.moves
+    assert not received(*frames)
+    moved = machine.move.call_args.args[0].waypoints
     assert [point.time_ns for point in moved] == [point.time_ns for point in points]
     for found, point in zip(moved, points, strict=True):
         assert found.position == pytest.approx(point.position, abs=0.51e-8)
         assert found.velocity == pytest.approx(point.velocity, abs=0.51e-5)
     # What was gathered is used once.
-    assert "missing" in machine.received(frames[-1]) and len(machine.moves) == 1
+    assert "missing" in received(frames[-1]) and machine.move.call_count == 1
 
 
 @pytest.mark.parametrize("pace", [Pace(), Pace(0.3, hold=True), Pace(0.0, end=True), Pace(0.1234, True, True)])
@@ -318,11 +312,11 @@ def test_a_pace_is_what_the_dbc_says_reaches_the_machine_whole_and_a_damaged_fra
     said = EMULATED.get_message_by_name("StagePace").decode(payload)
     assert identifier == 0x601 and said.pop("PaceCrc")
     assert [said[name] for name in ("Override", "Hold", "End")] == pytest.approx([*map(float, pace)])
-    machine = Machine()
+    machine, received = emulated()
     for wrong in (payload + b"\0", *(damaged(payload, byte) for byte in range(8))):
-        assert "'StagePace' is damaged" in machine.received((identifier, wrong)) and not machine.paces
-    machine.received((identifier, payload))
-    (found,) = machine.paces
+        assert "'StagePace' is damaged" in received((identifier, wrong)) and not machine.pace.called
+    received((identifier, payload))
+    ((found,),) = (call.args for call in machine.pace.call_args_list)
     assert [*map(float, found)] == pytest.approx([*map(float, pace)])
 
 
@@ -340,6 +334,6 @@ def test_a_trajectory_of_which_a_frame_is_damaged_or_another_is_refused():
     frames = EMULATOR.stage_payloads([Waypoint(0, 0.0, 0.0), Waypoint(9, 1.0, 0.0)])
     for place, (identifier, payload) in enumerate(frames):
         for wrong in ((identifier + 1, payload), (identifier, payload + b"\0"), (identifier, damaged(payload, 4))):
-            machine = Machine()
-            refused = machine.received(*frames[:place], wrong, *frames[place + 1 :])
-            assert not machine.moves and bool(refused) == (wrong != (0x502, payload))
+            machine, received = emulated()
+            refused = received(*frames[:place], wrong, *frames[place + 1 :])
+            assert not machine.move.called and bool(refused) == (wrong != (0x502, payload))
