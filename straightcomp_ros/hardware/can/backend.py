@@ -136,11 +136,9 @@ class CanHardware(Hardware):
         self.motion = begun
 
     def home(self, now_ns: int) -> None:
-        emulator = self._receiver.emulator
-        if emulator is None:
-            super().home(now_ns)
-        else:
-            self._send_to_stage(emulator.stage_payloads(()))
+        if self._receiver.emulator is None:
+            super().home(now_ns)  # it refuses
+        self._send_to_stage(self._frames_for_stage().stage_payloads(()))
 
     def pace(self, pace: Pace) -> None:
         self._send_to_stage([self._frames_for_stage().pace_payload(pace)])
