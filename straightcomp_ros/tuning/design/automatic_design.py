@@ -237,7 +237,7 @@ def design_gains(
         verification=verification,
         others=[one[0] for one in verified if one is not kept],
         budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),
-        limits=failing_limits(scenario, with_gains(base, law, best)),
+        limits=failing_limits(stage, with_gains(base, law, best)),
         shape=shape,
         stiction=stiction(stage, with_gains(base, law, best)),
     )

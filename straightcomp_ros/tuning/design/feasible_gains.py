@@ -12,10 +12,10 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.control.margins import closed_loop, linearised, spectral_radius, with_modes_off
+from straightcomp_ros.control.margins import bisected, closed_loop, linearised, spectral_radius, with_modes_off
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.stage.description import Factors, StageParameters, UncertaintyParameters, deviating
@@ -31,8 +31,6 @@ from straightcomp_ros.tuning.design.gains import (
     with_gains,
 )
 from straightcomp_ros.tuning.design.stability import STANDARD, Corner, Demands, StabilityCheck, corner_at, corners_of
-
-T = TypeVar("T")
 
 _EVALUATIONS, _IN_BISECTION = 200, 80
 _STEP = 0.25
@@ -61,23 +59,10 @@ class DesignError(ValueError):
     """No gains hold the demands; the message says what would have to change."""
 
 
-def _least_change(
-    possible: Callable[[float, T | None], T | None], halvings: int, tries: Sequence[float] = (1.0,)
-) -> float | None:
-    """The least share of a change of the stage, of 0 to 1, with which it is feasible; None if none of ``tries`` is.
-
-    ``possible(share, found)`` returns what was found on the stage with this share of the change, or None. It may begin
-    at what was ``found`` with more of it: that is nearly right here.
-    """
-    good, found = next(((share, one) for share in tries if (one := possible(share, None)) is not None), (0.0, None))
-    if found is None:
-        return None
-    bad = 0.0
-    for _ in range(halvings):
-        middle = 0.5 * (good + bad)
-        there = possible(middle, found)
-        good, bad, found = (good, middle, found) if there is None else (middle, bad, there)
-    return good
+def _least_change(possible: Callable[[float], bool], halvings: int, tries: Sequence[float] = (1.0,)) -> float | None:
+    """The least share of a change of the stage, of 0 to 1, with which it is feasible; None if none of ``tries`` is."""
+    good = next(filter(possible, tries), None)
+    return None if good is None else bisected(possible, good, 0.0, halvings)
 
 
 class FeasibleGains:
@@ -144,11 +129,13 @@ def refusal(scenario: Scenario, law: str, seed: int = 1) -> DesignError:
         names = [name for name in ("first", "second") if getattr(stage.platform.modes, name).frequency]
         changes += [(words, tuple(f"platform.modes.{name}.{fact}" for name in names), 1.0, furthest)] if names else []
     helpful, searched = [], {gain.name for gain in SEARCHED[law]}
-    for sentence, facts, present, furthest in changes:
 
-        def possible(
-            share: float, like: _Feasible | None, facts: Sequence[str] = facts, furthest: float = furthest
-        ) -> _Feasible | None:
+    def least_share(facts: Sequence[str], furthest: float) -> float | None:
+        # Gains that hold with more of the change, and the dead time there: scaled they are nearly right with less.
+        like: tuple[dict[str, float], float] | None = None
+
+        def possible(share: float) -> bool:
+            nonlocal like
             changed = scaled_facts(stage, facts, furthest**share)
             feasible = FeasibleGains(scenario.on(changed), law, seed=seed)
             lag, gains, evaluations = changed.dead_time, rule(law, changed), _EVALUATIONS
@@ -158,10 +145,13 @@ def refusal(scenario: Scenario, law: str, seed: int = 1) -> DesignError:
                 nearly = scaled(law, like[0], like[1] / lag)
                 tries.append({**nearly, **{name: gains[name] for name in gains if name not in searched}})
             found = feasible.near(min(tries, key=feasible.violation), evaluations)
-            return None if found is None else (found, lag)
+            like = like if found is None else (found, lag)
+            return found is not None
 
-        share = _least_change(possible, halvings=5, tries=(1.0, 0.5, 0.25))
-        if share is not None:
+        return _least_change(possible, halvings=5, tries=(1.0, 0.5, 0.25))
+
+    for sentence, facts, present, furthest in changes:
+        if (share := least_share(facts, furthest)) is not None:
             helpful.append(sentence.format(f"{_outward(present * furthest**share, up=furthest > 1.0):g}"))
     control = with_gains(next(iter(scenario.controls.values())), law, rule(law, stage))
     missed = StabilityCheck(stage).missed(control)
@@ -170,10 +160,6 @@ def refusal(scenario: Scenario, law: str, seed: int = 1) -> DesignError:
         f"at {rate:g} Hz with a delay of {delay:g} samples, an amplifier of {amplifier:g} Hz and a bias current of "
         f"{bias:g} A no gains of '{law}' have margins (missed first: {'; '.join(missed[:_MISSED])}): {advice}"
     )
-
-
-_Feasible = tuple[dict[str, float], float]
-"""Gains that hold the demands on a stage, and its dead time in s."""
 
 
 def _outward(value: float, *, up: bool) -> float:
@@ -304,14 +290,13 @@ def _safe_refusal(scenario: Scenario, growth: float) -> DesignError:
         if _narrowed(stage.uncertainty, names, 0.0) == stage.uncertainty:
             continue
 
-        def possible(share: float, _: bool | None, names: Sequence[str] = names) -> bool | None:
+        def possible(share: float, names: Sequence[str] = names) -> bool:
             changed = dataclasses.replace(stage, uncertainty=_narrowed(stage.uncertainty, names, 1.0 - share))
             try:
                 corners = _corners(changed)
             except ParameterError:
-                return None
-            calmest = _calmest(scenario.on(changed), corners, _SAFE_IN_BISECTION)[1]
-            return True if calmest <= _allowed(changed) else None
+                return False
+            return _calmest(scenario.on(changed), corners, _SAFE_IN_BISECTION)[1] <= _allowed(changed)
 
         share = _least_change(possible, halvings=4)
         if share is not None:

@@ -177,14 +177,13 @@ class Judged(NamedTuple):
 class Judge:
     """Judges gains of ``law`` on the stage of ``scenario``; ``quiet``, from 0 to 1, is the weight of the coils' work.
 
-    ``control`` is the controller's, of which the law and its gains are replaced, ``delay`` that of a command in s.
+    ``control`` is the controller's, of which the law and its gains are replaced.
     """
 
     def __init__(self, scenario: Scenario, law: str, quiet: float, demands: Demands = STANDARD) -> None:
         self.law, self.stage, self._quiet = law, scenario.description, quiet
         self.control = next(iter(scenario.controls.values()))
         self._stop = scenario.driver.plant.platform.stop
-        self.delay = self.stage.delay
         self._check = StabilityCheck(self.stage, demands)
         self._stroke = prepared_stroke(shortened(scenario, _LONGEST))
         self._short = prepared_stroke(shortened(scenario, SHORT))
@@ -206,11 +205,11 @@ class Judge:
             return Judged(gains, _UNSTABLE + min(_UNSTABLE, violation))
         law, runs = make_law(control, self.stage), []
         for start in range(_STARTS):
-            runs.append(self._stroke.run(law, self.delay, start))
+            runs.append(self._stroke.run(law, self.stage.delay, start))
             if start == 0 and (first := self._nominal(gains, runs)[0]).cost > bar:
                 return first
         if max(run.pp for run in runs) > UNEVEN * min(run.pp for run in runs):
-            runs += [self._stroke.run(law, self.delay, start) for start in range(_STARTS, _MORE_STARTS)]
+            runs += [self._stroke.run(law, self.stage.delay, start) for start in range(_STARTS, _MORE_STARTS)]
         found, accuracy = self._nominal(gains, runs)
         if not math.isfinite(found.pp):
             return found

@@ -29,8 +29,8 @@ from straightcomp_ros.control.margins import (
     with_facts_off,
     with_modes_off,
 )
-from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.tuning.design.gains import scaled_facts
 
 _GRID = 400
 """Frequencies at which the phase margin is looked for: off by less than a degree, near a resonance two."""
@@ -102,7 +102,7 @@ class StabilityCheck:
 
         # A mode that the loop leaves alone decays as it does by itself: it must be stable, and no more.
         self._quiet = (
-            _Case("nominal", _rigid(stage), decay=demands.decay),
+            _Case("nominal", sampled_plant(stage.with_modes()), decay=demands.decay),
             *cases(demands.gain_low, demands.gain_high, demands.amplifier_gain, demands.spare_delay),
             *(_Case(f"corner {one.name}", one.sampled) for one in corners_of(stage, MECHANICS)),
         )
@@ -141,11 +141,6 @@ class StabilityCheck:
         return max(0.0, math.log(radius) * self._stage.dead_time / self._stage.period + case.decay)
 
 
-def _rigid(stage: StageParameters) -> StateSpace:
-    """The plant without modes."""
-    return sampled_plant(stage.with_modes())
-
-
 class Corner(NamedTuple):
     """A machine at a corner of the uncertainty: in words, as a description of its own, and sampled, with and without
     its modes."""
@@ -159,7 +154,8 @@ class Corner(NamedTuple):
 def corner_at(name: str, stage: StageParameters) -> Corner:
     """A machine that is as ``stage`` describes it."""
     sampled = sampled_plant(stage)
-    return Corner(name, stage, sampled, _rigid(stage) if stage.platform.modes.present else sampled)
+    rigid = sampled_plant(stage.with_modes()) if stage.platform.modes.present else sampled
+    return Corner(name, stage, sampled, rigid)
 
 
 def corners_of(stage: StageParameters, facts: Sequence[str] = (*MECHANICS, "amplifier", "delay")) -> list[Corner]:
@@ -180,10 +176,9 @@ class FailingLimits(NamedTuple):
     mass_high: float
 
 
-def failing_limits(scenario: Scenario, control: ControlParameters) -> dict[str, FailingLimits]:
+def failing_limits(stage: StageParameters, control: ControlParameters) -> dict[str, FailingLimits]:
     """The limits of a law by its state: ``quiet``, for a law that stiffens ``stiff``, and where the stage may have no
     friction ``slow`` and ``free``."""
-    stage = scenario.description
     return {state: _limits(stage, one) for state, one in states_of(control, stage).items()}
 
 
@@ -193,8 +188,7 @@ def _limits(stage: StageParameters, control: ControlParameters) -> FailingLimits
     controller = linearised(law)
 
     def stable(factor: float) -> bool:
-        platform = dataclasses.replace(stage.platform, mass=factor * stage.platform.mass)
-        plant = sampled_plant(dataclasses.replace(stage, platform=platform))
+        plant = sampled_plant(scaled_facts(stage, ("platform.mass",), factor))
         return spectral_radius(closed_loop(plant, controller)) < 1.0
 
     low, high = (last_stable(stable, 1.0, end) if stable(1.0) else 1.0 for end in (_LIGHTEST, _HEAVIEST))

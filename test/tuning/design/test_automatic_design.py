@@ -148,7 +148,7 @@ def test_a_search_finds_a_deeper_valley_than_that_of_its_best_start():
 def test_gains_that_are_hopeless_or_unstable_are_not_simulated_further_and_quiet_trades_error_for_work(
     shipped, judge, begin, law
 ):
-    first, known = prepared_stroke(shipped).run(law, judge.delay), judge.judge(begin)
+    first, known = prepared_stroke(shipped).run(law, judge.stage.delay), judge.judge(begin)
     assert judge.judge(begin, bar=known.cost - 10.0).pp == pytest.approx(first.pp) != known.pp
     assert judge.judge(begin, bar=known.cost + 10.0) == known
     bad, worse = (judge.judge(scaled(LAW, begin, factor)) for factor in (2.0, 4.0))
@@ -188,14 +188,14 @@ def test_a_shortened_motion_lies_inside_the_stroke_and_is_as_short_as_was_asked_
 
 
 def test_a_run_depends_on_start_machine_and_delay_alone_and_oscillates_where_a_verdict_says_so(shipped, judge, law):
-    stroke = prepared_stroke(shipped)
+    stroke, delay = prepared_stroke(shipped), judge.stage.delay
     plant = shipped.driver.plant
     heavy = dataclasses.replace(plant, platform=dataclasses.replace(plant.platform, mass=4.0))
-    found = stroke.run(law, judge.delay)
-    assert found == prepared_stroke(shipped).run(law, judge.delay)
-    assert found.pp not in (stroke.run(law, judge.delay, 1).pp, stroke.run(law, judge.delay, plant=heavy).pp)
+    found = stroke.run(law, delay)
+    assert found == prepared_stroke(shipped).run(law, delay)
+    assert found.pp not in (stroke.run(law, delay, 1).pp, stroke.run(law, delay, plant=heavy).pp)
     # Commands later than the loop bears.
-    assert found.oscillation <= 1.0 < stroke.run(law, 5.0 * judge.delay).oscillation
+    assert found.oscillation <= 1.0 < stroke.run(law, 5.0 * delay).oscillation
 
 
 def test_the_extreme_machines_lie_at_the_ends_of_the_uncertainty(shipped):

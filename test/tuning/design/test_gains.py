@@ -175,7 +175,7 @@ def test_gains_for_a_fine_encoder_that_hold_without_the_measured_current_may_not
     assert missed and all("amplifier" in name or "current measured" in name for name in missed)
     refused = missing_margin(control, scenario.description)
     assert refused is not None and "at its stiffest, with the coils' current measured, stable up to 1.0" in refused
-    stiff = failing_limits(scenario, control)["stiff"]
+    stiff = failing_limits(scenario.description, control)["stiff"]
     assert stiff.gain_high > 1.9 and stiff.amplifier_high < 1.1
 
 
@@ -194,7 +194,7 @@ def test_gains_are_not_admitted_whose_stiffest_loop_is_unstable_where_commands_a
 
 
 def test_the_loop_is_unstable_just_outside_its_mass_limits(shipped):
-    limits = failing_limits(shipped, control_of(shipped))
+    limits = failing_limits(shipped.description, control_of(shipped))
     assert set(limits) == {"quiet", "stiff"}
     stage, law = shipped.description, make_law(control_of(shipped), shipped.description)
     for end in (limits["quiet"].mass_low, limits["quiet"].mass_high):
