@@ -25,34 +25,38 @@ def test_on_a_guide_that_moved_a_proposed_map_is_as_good_as_a_fresh_survey(tmp_p
     assert len(proposed.runs) == 10 and proposed.facts["proposed from"].startswith("16 strokes")
 
 
+OLD = find_survey("config/survey_synthetic.csv")
+OF_MAP = {"map_checksum": checksum_of([OLD.read_bytes()])}
+
+
 def rows(pool, **changes):
-    sound = pool[BASE]
-    guide = [0.0] * len(sound[0].error_bins_um)
-    return table_of(StrokeRow, [replace(row, guide_change_um=guide, **changes) for row in sound * 10])
+    """Rows of ten strokes each way over a guide that is the map's."""
+    unchanged = {"guide_change_um": [0.0] * len(pool[BASE][0].error_bins_um)}
+    return table_of(StrokeRow, [replace(row, **(unchanged | changes)) for row in pool[BASE] * 10]).to_pylist()
+
+
+def proposal_of(strokes, *guide):
+    return proposed_map(pyarrow.Table.from_pylist(strokes, schema_of(StrokeRow)), OLD, 7.0, *guide)
 
 
 def test_strokes_without_a_sensor_or_with_another_map_are_refused(pool):
-    old = find_survey("config/survey_synthetic.csv")
     with pytest.raises(MaintenanceError, match="displacement sensor: record 'displacement'"):
-        proposed_map(table_of(StrokeRow, pool[BASE]), old, 7.0)
+        proposal_of(rows(pool, guide_change_um=None))
     with pytest.raises(MaintenanceError, match=r"0 whole strokes forward .* 20 with another map"):
-        proposed_map(rows(pool, map_checksum="another"), old, 7.0)
+        proposal_of(rows(pool, map_checksum="another"))
 
 
 def test_only_strokes_with_that_map_make_the_proposal(pool):
     """The zero of the guide's change is the map's: strokes with another one say nothing together with these."""
-    old = find_survey("config/survey_synthetic.csv")
     # A guide that has moved is what a new map is for, a loop that oscillates says nothing of it.
-    of_map = {"map_checksum": checksum_of([old.read_bytes()])}
-    ours = rows(pool, verdict="wrong_guide", **of_map).to_pylist()
-    others = [*rows(pool).to_pylist(), *rows(pool, verdict="oscillates", **of_map).to_pylist()]
+    ours = rows(pool, verdict="wrong_guide", **OF_MAP)
+    others = [*rows(pool), *rows(pool, verdict="oscillates", **OF_MAP)]
     for row in others:
         row["guide_change_um"] = [5.0 * (place > 40) for place in range(len(row["guide_change_um"]))]
-    mixed = pyarrow.Table.from_pylist([*ours, *others], schema_of(StrokeRow))
-    proposal = proposed_map(mixed, old, 7.0)
+    proposal = proposal_of([*ours, *others])
     assert proposal.strokes == len(ours) and peak_to_peak(proposal.change) < 0.1e-6
     with pytest.raises(SurveyError, match="travel"):
-        proposed_map(mixed, old, 7.0, MapParameters(travel=1e-6))
+        proposal_of([*ours, *others], MapParameters(travel=1e-6))
     provenance = proposal.built.provenance
     assert provenance["made by"].startswith("straightcomp history map")
     assert provenance["proposed from"].startswith(f"{len(ours)} strokes")
@@ -61,21 +65,16 @@ def test_only_strokes_with_that_map_make_the_proposal(pool):
 
 def test_jogs_make_no_proposal_and_change_none(pool):
     """A straight edge is not parallel, and the mean of a stroke is taken out over its own x."""
-    old = find_survey("config/survey_synthetic.csv")
-    sound = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist()
+    sound = rows(pool, **OF_MAP)
     for row in sound:
         row["guide_change_um"] = [0.1 * place for place in range(len(row["guide_change_um"]))]
     jogs = [row | {"bins_from_mm": 300, "guide_change_um": [0.1 * n - 0.55 for n in range(12)]} for row in sound]
-    alone, beside, only = (
-        pyarrow.Table.from_pylist(of, schema_of(StrokeRow)) for of in (sound, jogs + sound, sound[:8] + jogs)
-    )
-    expected, found = proposed_map(alone, old, 7.0), proposed_map(beside, old, 7.0)
+    expected, found = proposal_of(sound), proposal_of(jogs + sound)
     assert found.strokes == expected.strokes == 20 and found.change == pytest.approx(expected.change, abs=1e-12)
     with pytest.raises(MaintenanceError, match=r"4 whole strokes forward .* 20 shorter ones, 0 with another map"):
-        proposed_map(only, old, 7.0)
-    fewer = pyarrow.Table.from_pylist(sound[:4] + jogs, schema_of(StrokeRow))
+        proposal_of(sound[:8] + jogs)
     with pytest.raises(MaintenanceError, match=r"2 whole strokes forward .* 20 shorter ones"):
-        proposed_map(fewer, old, 7.0)
+        proposal_of(sound[:4] + jogs)
 
 
 MOVED = [0.5 * (30 <= place < 42) for place in range(170)]
@@ -85,18 +84,12 @@ MOVED = [0.5 * (30 <= place < 42) for place in range(170)]
 def of_places(pool, *stretches):
     """Ten strokes each way over each stretch of bins, on a straight edge that is not parallel; the zero of each is the
     mean over its own x."""
-    old = find_survey("config/survey_synthetic.csv")
-    sound, found = rows(pool, map_checksum=checksum_of([old.read_bytes()])).to_pylist(), []
+    found = []
     for first, last in stretches:
         seen = [MOVED[place] + 0.1 * place for place in range(first, last)]
         own = {"bins_from_mm": 10 * first, "guide_change_um": [one - sum(seen) / len(seen) for one in seen]}
-        found += [row | own for row in sound]
+        found += [row | own for row in rows(pool, **OF_MAP)]
     return found
-
-
-def proposal_of(strokes):
-    table = pyarrow.Table.from_pylist(strokes, schema_of(StrokeRow))
-    return proposed_map(table, find_survey("config/survey_synthetic.csv"), 7.0)
 
 
 @pytest.mark.parametrize("ends", [(0, 85, 170), (0, 43, 128, 170), (0, 17, 34, 51, 68, 85, 102, 119, 136, 153, 170)])

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -102,17 +101,17 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
         {name: None if value is None else _known(value) for name, value in one.to_display().items()}
         for one in standstill_figures(record, record.reference)
     ]
-    rows = [
+    return [
         StrokeRow(
             **facts,
             stroke=number,
+            start=_EPOCH + zero + timedelta(microseconds=one[1][0] // 1000),
             **_columns(evaluation, *one),
             **uncertainties.get(one[0].direction, {}),
             **after[number - 1],
         )
         for number, one in enumerate(zip(strokes, times, until, strict=True), 1)
     ]
-    return [replace(row, start=row.start + zero) for row in rows]
 
 
 def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], until_ns: int) -> dict[str, Any]:
@@ -138,7 +137,6 @@ def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], 
         "guide_change_um": _guide_change_um(evaluation, part, stroke),
     }
     return dict(
-        start=_EPOCH + timedelta(microseconds=begin // 1000),
         law=part.law,
         **figures,
         control_activity_A=float(np.abs(np.diff(part.current)).sum()),
