@@ -1,6 +1,5 @@
 """A store is the same whoever makes it, in whatever order, however often, and whatever interrupts."""
 
-import dataclasses
 import os
 import shutil
 import signal
@@ -21,7 +20,7 @@ from tiers import nightly
 
 from straightcomp_ros.fleet.history import HistoryError, adding
 from straightcomp_ros.fleet.history.bag_places import bags_in
-from straightcomp_ros.fleet.history.rows import BagRow, StrokeRow, is_nullable, schema_of, table_of
+from straightcomp_ros.fleet.history.rows import StrokeRow, schema_of
 from straightcomp_ros.fleet.history.store import Store
 
 
@@ -284,13 +283,6 @@ def test_no_thread_of_arrow_s_is_left_that_could_hold_python_s_bytes_when_the_in
     """It would end the process with `terminate called without an active exception`, now and then (rows_in)."""
     command = [sys.executable, "-c", READS_AND_ADDS, str(copy), str(SMC)]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"
-
-
-@pytest.mark.parametrize("row", [StrokeRow, BagRow])
-def test_every_column_says_what_it_is_and_keeps_its_type(row):
-    assert table_of(row, []).schema == schema_of(row)
-    for one, field in zip(dataclasses.fields(row), schema_of(row), strict=True):
-        assert one.metadata["description"] and field.nullable == is_nullable(one)
 
 
 def test_a_file_of_which_one_bit_is_another_gives_no_figures(alone, tmp_path):

@@ -97,6 +97,7 @@ IMPOSSIBLE = [
     ("simulate --bag loop", "bag loop cannot be made"),
     ("map export -o loop --format aerotech", "loop: Too many levels of symbolic links"),
     ("frequency-response --period 0.0001", "period"),
+    ("frequency-response --period 0.0015 --lowest 700", "period"),
     ("frequency-response --period 0.01 --lowest 100 --draws 3", "draws"),
     ("frequency-response --law smc --set controller.control.smc.boundary_layer=0.0", "boundary_layer"),
 ]

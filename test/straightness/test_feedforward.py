@@ -23,11 +23,6 @@ QUANTUM = 0.1e-6
 BANDWIDTH = FeedforwardParameters().bandwidth
 
 
-@pytest.fixture(scope="module")
-def straightness():
-    return GUIDE
-
-
 def _profile():
     """x, v, a (n,) of one stroke: 0.2 m/s², 0.3 m/s, 1.76 m, standing 0.25 s before and after."""
     t = np.arange(-500, 15_235) * T
@@ -44,14 +39,14 @@ def _run(feedforward, x, first=0):
     return np.array([feedforward.step((first + k) * PERIOD_NS, value) for k, value in enumerate(x.tolist())])
 
 
-def test_a_stroke_seen_by_the_encoder_is_fed_forward_within_these_figures(straightness):
+def test_a_stroke_seen_by_the_encoder_is_fed_forward_within_these_figures():
     x, v, a = _profile()
-    _, slope, curvature = straightness.evaluate(x)
+    _, slope, curvature = GUIDE.evaluate(x)
     read = np.round(x / QUANTUM) * QUANTUM
-    feedforward = Feedforward(straightness)
+    feedforward = Feedforward(GUIDE)
     got = _run(feedforward, read)
     # The reference is taken at the measured x without lag; after a reset the same samples give the same bits.
-    np.testing.assert_array_equal(got[:, 0], straightness.evaluate(read)[0])
+    np.testing.assert_array_equal(got[:, 0], GUIDE.evaluate(read)[0])
     feedforward.reset()
     np.testing.assert_array_equal(_run(feedforward, read[:1000]), got[:1000])
     rate_error = got[:, 1] - slope * v
@@ -69,34 +64,34 @@ def test_a_stroke_seen_by_the_encoder_is_fed_forward_within_these_figures(straig
     assert np.abs(acceleration_error).max() < 20e-6
 
 
-def test_a_repeated_stamp_gives_the_same_answer_and_changes_nothing(straightness):
-    once, twice = Feedforward(straightness), Feedforward(straightness)
+def test_a_repeated_stamp_gives_the_same_answer_and_changes_nothing():
+    once, twice = Feedforward(GUIDE), Feedforward(GUIDE)
     for k, x in enumerate(_profile()[0][5000:5200].tolist()):
         answer = twice.step(k * PERIOD_NS, x)
         assert twice.step(k * PERIOD_NS, x + 1.0) == once.step(k * PERIOD_NS, x) == answer
 
 
 @pytest.mark.parametrize("acceleration", [0.2, 5.0, 50.0])
-def test_fast_ramps_are_tracked_so_that_the_platform_lacks_no_more_way_than_a_count_hides(straightness, acceleration):
+def test_fast_ramps_are_tracked_so_that_the_platform_lacks_no_more_way_than_a_count_hides(acceleration):
     stage = from_mapping(StageParameters, {"motion.acceleration": acceleration})
-    bandwidth = stage.tracking(FeedforwardParameters(), straightness).bandwidth
+    bandwidth = stage.tracking(FeedforwardParameters(), GUIDE).bandwidth
     tracked, lacking = restarted(0.0)._replace(samples=0), 0.0  # long at rest: the gains are the steady ones
     for t in (np.arange(2000) * T).tolist():
         tracked = updated(bandwidth, tracked, T, 0.5 * acceleration * t * t)
-        lacking += straightness.steepest * T * (acceleration * t - tracked.v)
+        lacking += GUIDE.steepest * T * (acceleration * t - tracked.v)
     raised = bandwidth > BANDWIDTH
     assert raised == (acceleration > 0.2)
     assert (0.7 if raised else 0.0) <= lacking / stage.encoder.y_rounding <= 1.1
 
 
-def test_lost_samples_do_not_matter(straightness):
+def test_lost_samples_do_not_matter():
     x, v, _ = _profile()
-    feedforward = Feedforward(straightness)
+    feedforward = Feedforward(GUIDE)
     kept = [k for k in range(5000, 9000) if k % 7 not in (2, 3, 4)]
     for number, k in enumerate(kept):
         r_dot = feedforward.step(k * PERIOD_NS, float(x[k]))[1]
         if number > 1:
-            assert r_dot == pytest.approx(straightness.reference(float(x[k]))[1] * v[k], abs=1e-12)
+            assert r_dot == pytest.approx(GUIDE.reference(float(x[k]))[1] * v[k], abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -104,8 +99,8 @@ def test_lost_samples_do_not_matter(straightness):
     [(-1, 0.9001), (10_000_000, 0.9001), (201, 0.9002 + 0.01), (201, math.nan), (201, math.inf)],
     ids=["stamp goes back", "long gap", "jump of x", "not a number", "infinite"],
 )
-def test_what_no_stage_does_starts_the_estimate_anew(straightness, stamp_after, x_after):
-    feedforward = Feedforward(straightness)
+def test_what_no_stage_does_starts_the_estimate_anew(stamp_after, x_after):
+    feedforward = Feedforward(GUIDE)
     for k in range(201):
         assert feedforward.step(k * PERIOD_NS, 0.87 + 0.3 * T * k)
     first = stamp_after * PERIOD_NS
@@ -115,12 +110,12 @@ def test_what_no_stage_does_starts_the_estimate_anew(straightness, stamp_after, 
     for k in range(1, 5):
         x = (x_after if math.isfinite(x_after) else 0.9) + 0.3 * T * k
         answer = feedforward.step(first + k * PERIOD_NS, x)
-    assert answer[1] == pytest.approx(0.3 * straightness.reference(x)[1], rel=1e-9)
+    assert answer[1] == pytest.approx(0.3 * GUIDE.reference(x)[1], rel=1e-9)
 
 
 @pytest.mark.parametrize(("stamp_after", "distance"), [(2_000_000, 1.1e-4), (2_000_001, 0.5e-4)])
-def test_the_limits_are_parameters(straightness, stamp_after, distance):
-    feedforward = Feedforward(straightness, FeedforwardParameters(restart_gap=1e-3), highest_speed=0.1)
+def test_the_limits_are_parameters(stamp_after, distance):
+    feedforward = Feedforward(GUIDE, FeedforwardParameters(restart_gap=1e-3), highest_speed=0.1)
     feedforward.step(0, 0.5)
     feedforward.step(1_000_000, 0.5 + 0.9e-4)
     assert feedforward._tracked.v == pytest.approx(0.09)
@@ -128,9 +123,9 @@ def test_the_limits_are_parameters(straightness, stamp_after, distance):
     assert feedforward._tracked.v == 0.0
 
 
-def test_a_count_that_is_more_than_a_slow_stage_moves_between_two_samples_does_not_restart_the_estimate(straightness):
+def test_a_count_that_is_more_than_a_slow_stage_moves_between_two_samples_does_not_restart_the_estimate():
     count, v = 1e-6, 5e-4
-    feedforward = Feedforward(straightness, highest_speed=1e-3, noise=EncoderParameters(x_resolution=count).x_noise)
+    feedforward = Feedforward(GUIDE, highest_speed=1e-3, noise=EncoderParameters(x_resolution=count).x_noise)
     _run(feedforward, 0.5 + np.round(np.arange(2000) * v * T / count) * count)
     assert feedforward._tracked.v == pytest.approx(v, rel=0.2)
 
@@ -141,18 +136,14 @@ FADE = round(FADE_TIME / T)
 DIFFERENCE = 20e-6
 
 
-def other(straightness):
-    """Another map: 20 µm away."""
-
-    def reference(x):
-        r, slope, curvature = straightness.reference(x)
-        return r + DIFFERENCE, slope, curvature
-
-    return reference
+def other(x):
+    """The reference of another map: 20 µm away."""
+    r, slope, curvature = GUIDE.reference(x)
+    return r + DIFFERENCE, slope, curvature
 
 
-def references(straightness, change):
-    feedforward = Feedforward(straightness)
+def references(change):
+    feedforward = Feedforward(GUIDE)
     found = []
     for step in range(BEFORE + AFTER):
         if step == BEFORE:
@@ -162,9 +153,9 @@ def references(straightness, change):
     return np.array(found)
 
 
-def test_a_change_of_map_reaches_the_bounds_of_the_rates_that_belong_to_it_and_no_more(straightness):
-    plain = references(straightness, lambda feedforward: None)
-    changed = references(straightness, lambda feedforward: feedforward.change(other(straightness)))
+def test_a_change_of_map_reaches_the_bounds_of_the_rates_that_belong_to_it_and_no_more():
+    plain = references(lambda feedforward: None)
+    changed = references(lambda feedforward: feedforward.change(other))
     beyond = changed - plain
     assert abs(beyond[:, 1]).max() == pytest.approx(1.875 * DIFFERENCE / FADE_TIME, rel=1e-6)
     assert abs(beyond[:, 2]).max() == pytest.approx(5.774 * DIFFERENCE / FADE_TIME**2, rel=1e-4)
@@ -174,9 +165,9 @@ def test_a_change_of_map_reaches_the_bounds_of_the_rates_that_belong_to_it_and_n
     np.testing.assert_array_equal(beyond[:BEFORE], 0.0)
     np.testing.assert_allclose(beyond[BEFORE + FADE :] - [DIFFERENCE, 0.0, 0.0], 0.0, rtol=0, atol=1e-17)
     # Before the first sample a map is changed at once.
-    feedforward = Feedforward(straightness)
-    feedforward.change(other(straightness))
-    assert feedforward.step(0, 0.2)[0] == pytest.approx(straightness.reference(0.2)[0] + DIFFERENCE)
+    feedforward = Feedforward(GUIDE)
+    feedforward.change(other)
+    assert feedforward.step(0, 0.2)[0] == pytest.approx(GUIDE.reference(0.2)[0] + DIFFERENCE)
 
 
 def test_after_a_start_it_is_least_squares_over_all_samples_from_the_third_on():

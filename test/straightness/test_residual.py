@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from places import REPOSITORY
+from surveys import GUIDE
 
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import load_map
 from straightcomp_ros.straightness.residual import (
     end_point_residual,
     least_squares_residual,
@@ -58,11 +59,6 @@ def test_adding_a_line_changes_no_residual_and_least_squares_leave_neither_mean_
 CONFIG = REPOSITORY / "config"
 
 
-@pytest.fixture(scope="module")
-def guide():
-    return load_map(MapParameters(file=str(CONFIG / "guide_synthetic.csv")))
-
-
 def test_the_script_makes_the_same_bytes_again(tmp_path):
     runpy.run_path(str(REPOSITORY / "scripts/make_synthetic_survey.py"))["make"](tmp_path)
     for name in ("survey_synthetic.csv", "guide_synthetic.csv"):
@@ -76,14 +72,14 @@ def test_the_guide_is_22_4_micrometres_peak_to_peak_over_1760_mm():
     assert peak_to_peak(least_squares_residual(run.x, run.deviation)) == pytest.approx(22.4e-6, abs=1e-9)
 
 
-def test_the_guide_is_as_steep_as_the_papers(guide):
-    slope_um_per_mm = np.abs(guide.evaluate(np.linspace(0.0, 1.76, 17_601))[1]) * 1e3
+def test_the_guide_is_as_steep_as_the_papers():
+    slope_um_per_mm = np.abs(GUIDE.evaluate(np.linspace(0.0, 1.76, 17_601))[1]) * 1e3
     assert 0.115 < slope_um_per_mm.max() < 0.125
     assert 0.04 < np.median(slope_um_per_mm) < np.percentile(slope_um_per_mm, 90) < 0.09
 
 
-def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre(guide):
-    straightness = load_map(MapParameters(file=str(CONFIG / "survey_synthetic.csv")))
+def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre():
+    straightness = load_map()
     report = straightness.report
     assert (len(report.x), report.forward.runs, report.backward.runs) == (177, 3, 3)
     s = np.concatenate([report.forward.s, report.backward.s])
@@ -91,7 +87,7 @@ def test_the_survey_is_six_runs_that_repeat_within_a_tenth_of_a_micrometre(guide
     # 177 differences of two means of three: the largest of them lies below four standard deviations.
     assert np.abs(report.reversal).max() < 4.0 * 0.025e-6 * np.sqrt(2.0 / 3.0)
     between = np.linspace(0.0, 1.76, 20_001)
-    assert np.ptp(straightness.deviations(between) - guide.deviations(between)) < 0.08e-6
+    assert np.ptp(straightness.deviations(between) - GUIDE.deviations(between)) < 0.08e-6
 
 
 @pytest.mark.parametrize("count", [3, 4, 50])

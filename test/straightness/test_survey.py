@@ -2,7 +2,6 @@
 on one grid, and their repeatability by its definition."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -70,6 +69,7 @@ def test_a_backward_run_may_be_listed_as_driven_or_sorted_and_count_with_the_one
 OUT, BACK = list(range(0, 601, 20)), list(range(600, -1, -20))
 FINE = list(range(0, 601, 5))
 UNITS = [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM]
+THREE = [f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)]
 THERE = [10.0 * number for number in range(15)]
 TURNS = THERE + THERE[-2::-1]
 
@@ -110,6 +110,26 @@ TURNS = THERE + THERE[-2::-1]
         ("x_mm,deviation_um", _rows([*OUT, *BACK[:5]], ""), "x·repeats:·600·mm"),
         ("direction,x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], "fwd,"), "x·turns·back:·300·mm"),
         ("run,x_mm,deviation_um", _rows([*OUT, *BACK, *OUT], "1,"), "x·repeats:·600·mm"),
+        # Columns that need not be runs.
+        *(
+            (f"x_mm,{names}", THREE, "no·column·for·deviation")
+            for names in (
+                "run 1 [um],run 2 [nm]",  # one unit is wrong, most likely
+                "run 1 [um],run 2 backward [um]",  # which way was the first?
+                "straightness 1 [um],straightness 2 [um]",  # of two directions, perhaps
+                "horizontal [um],vertical [um]",
+                "deviation_um raw,deviation_um std",
+                "run 1+ [um],run 1 - [um]",
+            )
+        ),
+        *(
+            (f"x_mm,Run 1 (µm),{beside} (µm)", THREE, f"line·1 column·'{beside.lower().replace(' ', '·')} may·be·a·run")
+            for beside in ("Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again")
+        ),
+        *(
+            (f"x_mm,{names}", [f"{row},0" for row in THREE], "line·1:·deviation_um·( run·1)·is·given·twice")
+            for names in ("Run 1 (µm),run 1 [um],Run 2 (µm)", "1+ (µm),2+ (µm),1 fwd (µm)")
+        ),
     ],
 )
 def test_a_fault_is_refused_with_its_place_and_what_is_allowed(read, header, rows, words):
@@ -152,27 +172,24 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
 
 
 @pytest.mark.parametrize(
-    ("passages", "expected"),
+    ("header", "passages", "expected"),
     [
-        ([OUT, BACK], WAYS[:2]),  # x stands at the turn
-        ([OUT, BACK[1:]], WAYS[:2]),
-        ([BACK], WAYS[1:2]),
-        ([BACK, OUT, BACK, OUT[1:]], [WAYS[1], WAYS[0], WAYS[3], WAYS[2]]),
-        ([OUT, OUT], [WAYS[0], WAYS[2]]),
+        ("", [("", OUT), ("", BACK)], WAYS[:2]),  # x stands at the turn
+        ("", [("", OUT), ("", BACK[1:])], WAYS[:2]),
+        ("", [("", BACK)], WAYS[1:2]),
+        ("", [("", BACK), ("", OUT), ("", BACK), ("", OUT[1:])], [WAYS[1], WAYS[0], WAYS[3], WAYS[2]]),
+        ("", [("", OUT), ("", OUT)], WAYS[::2]),
+        # A named cycle goes both ways.
+        ("run,", [("7,", OUT), ("7,", BACK), ("3,", OUT), ("3,", BACK)], [(n, w) for n in "73" for _, w in WAYS[:2]]),
+        ("direction,", [("fwd,", OUT), ("BWD,", BACK)] * 2, WAYS[::2] + WAYS[1::2]),
     ],
 )
-def test_where_no_run_is_named_the_trend_of_x_gives_runs_and_directions(read, passages, expected):
-    runs = read("x_mm,deviation_um", *_rows([x for passage in passages for x in passage], "")).runs
+def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, header, passages, expected):
+    rows = [row for prefix, passage in passages for row in _rows(passage, prefix)]
+    runs = read(f"{header}x_mm,deviation_um", *rows).runs
     assert [(run.name, run.direction) for run in runs] == expected
-    assert [run.x.size for run in runs] == [len(passage) for passage in passages]
+    assert [run.x.size for run in runs] == [len(passage) for _, passage in passages]
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
-
-
-def test_a_named_cycle_goes_both_ways_where_no_column_has_the_direction(read):
-    rows = [row for name in "73" for row in _rows([*OUT, *BACK], f"{name},")]
-    runs = read("run,x_mm,deviation_um", *rows).runs
-    assert [(run.name, run.direction) for run in runs] == [(name, way) for name in "73" for _, way in WAYS[:2]]
-    assert {run.x.size for run in runs} == {len(OUT)}
 
 
 @pytest.mark.parametrize(
@@ -248,42 +265,6 @@ def test_a_list_without_names_is_not_said_to_be_of_one_controller(read, values):
     with pytest.raises(SurveyError, match="x_mm") as caught:
         read(*(" ".join(f"{x} {x % 30 / 10:.3f} 0.100".split()[:values]) for x in range(0, 240, 10)))
     assert ("linuxcnc" in str(caught.value)) == (values == 3)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        "run 1 [um],run 2 [nm]",  # one unit is wrong, most likely
-        "run 1 [um],run 2 backward [um]",  # which way was the first?
-        "straightness 1 [um],straightness 2 [um]",  # of two directions, perhaps
-        "horizontal [um],vertical [um]",
-        "deviation_um raw,deviation_um std",
-        "run 1+ [um],run 1 - [um]",
-    ],
-)
-def test_columns_that_need_not_be_runs_are_refused(read, names):
-    with pytest.raises(SurveyError, match="no column for deviation"):
-        read(f"x_mm,{names}", *(f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)))
-
-
-@pytest.mark.parametrize("beside", ["Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again"])
-def test_a_column_beside_those_of_runs_that_may_be_a_run_is_refused(read, beside):
-    with pytest.raises(SurveyError, match=f"line 1: column '{re.escape(beside.lower())} .* may be a run"):
-        read(f"x_mm,Run 1 (\u00b5m),{beside} (\u00b5m)", *(f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)))
-
-
-@pytest.mark.parametrize(
-    "names", ["Run 1 (\u00b5m),run 1 [um],Run 2 (\u00b5m)", "1+ (\u00b5m),2+ (\u00b5m),1 fwd (\u00b5m)"]
-)
-def test_two_columns_of_one_run_are_refused(read, names):
-    with pytest.raises(SurveyError, match=r"line 1: deviation_um \(.*run 1\) is given twice"):
-        read(f"x_mm,{names}", *(f"{x},{x % 30},{x % 40},{x % 30}" for x in range(0, 240, 10)))
-
-
-def test_where_directions_are_named_alone_x_that_begins_anew_is_another_run(read):
-    rows = [row for _ in range(2) for row in (*_rows(OUT, "fwd,"), *_rows(BACK, "BWD,"))]
-    runs = read("direction,x_mm,deviation_um", *rows).runs
-    assert sorted((run.name, run.direction) for run in runs) == sorted(WAYS)
 
 
 X = np.arange(24) * 10.0  # mm

@@ -262,7 +262,6 @@ def test_topics_and_types_of_others_are_named_by_options(build_other):
         (["--sensor", "/nothing:data"], "no topic '/nothing'"),
         (["--sensor", "/probe:data", "--stage", "axes:position[gantry]"], "no element 'gantry'"),
         (["--sensor", "/probe:po int"], "allowed: TOPIC or TOPIC:FIELD"),
-        (["--step", "0"], "--step 0; allowed"),
     ],
 )
 def test_what_cannot_be_read_is_named(build_other, options, words):
