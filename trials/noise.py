@@ -25,14 +25,13 @@ from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey
-from straightcomp_ros.straightness.survey_table import Direction
+from straightcomp_ros.straightness.survey_table import WAYS, Direction
 
 SUMMARY = "error of the map by spacing and noise of the survey"
 GUIDE = load_map(MapParameters("config/guide_synthetic.csv", smooth="none"))
 FINE = np.linspace(*GUIDE.span, 17_601)
 JOINT, KINK = 0.9, 5e-5
 """x in m of the joint, and the change of the guide's slope there in m/m: about the largest slope of the guide."""
-WAYS: tuple[Direction, ...] = ("forward", "backward")
 SPACINGS_MM, NOISES_UM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), (0.02, 0.05, 0.2, 0.5)
 _TRAVEL = 5e-3
 """m, wide enough for the slopes that noise leaves at the ends."""

@@ -26,7 +26,7 @@ from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
 
 GAUSSIAN = 1.4826
 FLOOR = 20e-9
@@ -165,7 +165,7 @@ def agreeing(
     x, values = on_common_grid(survey, guide.min_points, guide.max_gap)
     outlier = np.zeros(values.shape, np.bool_)
     rejected = np.zeros(len(values), np.bool_)
-    for direction in ("forward", "backward"):
+    for direction in WAYS:
         ours = np.array([run.direction == direction for run in survey.runs])
         if ours.any():
             rejected[ours], outlier[ours] = disagreement(values[ours], limit)

@@ -41,7 +41,7 @@ from straightcomp_ros.analysis.record import Array, group_means, whole_ways
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, rms, zone_along
 from straightcomp_ros.straightness.survey_runs import cubic_spline
-from straightcomp_ros.straightness.survey_table import Direction
+from straightcomp_ros.straightness.survey_table import WAYS, Direction
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -196,7 +196,7 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
     encoder = Input("encoder", None if count is None else float(count) / math.sqrt(12.0))
     points = np.arange(record.x.min(), record.x.max() + _SENSOR_POINTS, _SENSOR_POINTS)
     of_run = whole_ways(record.motion.strokes, record.x)
-    for direction in ("forward", "backward"):
+    for direction in WAYS:
         strokes, shorter = ([way for way in ways if way[0].direction == direction] for ways in of_run)
         moving = [np.concatenate([np.arange(one.start, one.stop) for one in way]) for way in strokes]
         for when, curve in (("before", guide), ("after", guide + record.y)):

@@ -30,7 +30,7 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, handover
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import ROUNDING
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
 
 EASY, FEASIBLE = 0.5, 0.65
 """Of the unstable pole times the dead time: gains with usual margins exist below the first, none beyond the second."""
@@ -84,7 +84,7 @@ class Consequences:
         actuator, friction, motion, mass = stage.actuator, stage.friction, stage.motion, stage.platform.mass
         low, high = reach(motion)
         x = low + np.arange(0.0, high - low + _GRID, _GRID)
-        tables = [straightness.evaluate(x, way) for way in ("forward", "backward")]
+        tables = [straightness.evaluate(x, way) for way in WAYS]
         r, slope, curvature = (float(np.abs(values).max()) for values in zip(*tables, strict=True))
         apart = handover(straightness.hysteresis, motion.acceleration, straightness.reversal)
         pull = stage.negative_stiffness

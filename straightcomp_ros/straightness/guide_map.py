@@ -17,7 +17,7 @@ from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
-from straightcomp_ros.straightness.survey_table import Direction, SurveyError
+from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -157,7 +157,7 @@ class StraightnessMap:
         """Largest |dr/dx| of all tables at the survey's points and in the middle between them."""
         points = self.report.x
         x = np.concatenate([points, 0.5 * (points[1:] + points[:-1])])
-        return max(float(np.abs(self.evaluate(x, way)[1]).max()) for way in ("forward", "backward"))
+        return max(float(np.abs(self.evaluate(x, way)[1]).max()) for way in WAYS)
 
     def tables(self, x: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """:attr:`reference` of the forward and of the backward table, where there are two."""
@@ -171,7 +171,7 @@ class StraightnessMap:
         x = self.report.x
         columns = {"x_mm": x * 1e3, "r_um": self.evaluate(x)[0] * 1e6, "s_um": self.noise.band(x) * 1e6}
         if self.directed:
-            columns |= {f"r_{way}_um": self.evaluate(x, way)[0] * 1e6 for way in ("forward", "backward")}
+            columns |= {f"r_{way}_um": self.evaluate(x, way)[0] * 1e6 for way in WAYS}
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
         return "\n".join([",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]) + "\n"
 

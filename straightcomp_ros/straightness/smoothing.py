@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline
+from straightcomp_ros.straightness.survey_table import WAYS
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -104,7 +105,7 @@ def point_noise(survey: Survey, x: Array, values: Array, own: NDArray[np.bool_])
     which those that are ``own`` (runs, n) count; None unless one direction has two runs. A direction with a single run
     is taken to be as noisy as the other."""
     counts, sums = list[int](), list[float]()
-    for way in ("forward", "backward"):
+    for way in WAYS:
         chosen = np.array([run.direction == way for run in survey.runs])
         if chosen.any():
             apart = values[chosen] - values[chosen].mean(axis=0)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -150,7 +150,7 @@ def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
     """The figures of a survey at ``x`` (n,) in m, with ``values`` (runs, n) in m, both of :func:`on_common_grid`."""
 
     driven: dict[str, Directed] = {}
-    for way in ("forward", "backward"):
+    for way in WAYS:
         chosen = values[[run.direction == way for run in survey.runs]]
         if len(chosen):
             s = chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None

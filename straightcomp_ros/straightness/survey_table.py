@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple
 from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding
 
 Direction = Literal["forward", "backward"]
+WAYS: tuple[Direction, ...] = ("forward", "backward")
 
 
 class SurveyError(ValueError):
@@ -316,22 +317,22 @@ def _name_and_unit(name: str) -> tuple[str, str]:
     return (parts[1], parts[2]) if parts and not _NO_LENGTH.search(parts[1]) else ("", "")
 
 
-def _parts_of_run(name: str) -> tuple[str, list[str], list[str]] | None:
-    """The unit of the column of a run, its directions, and its further parts but the words for a run; None for a name
+def _parts_of_run(name: str) -> tuple[str, list[str], list[str]]:
+    """The unit of the column of a run, its directions, and its further parts but the words for a run; empty for a name
     that has neither a direction nor such a word, or no unit."""
     words, unit = _name_and_unit(name)
     words = re.sub(r"(?<=\d)[+-]$", lambda sign: _SIGNS[sign[0]], words)
     # A difference of runs, a mean or a deviation of them says so by a second number, a sign or a word.
     parts = re.findall(r"\d+|[^\W\d_]+|[^\s\w.#-]", words)
     if not unit or not {*DIRECTIONS, *_RUN_WORDS}.intersection(parts):
-        return None
+        return "", [], []
     others = [part for part in parts if part not in {*DIRECTIONS, *_RUN_WORDS, "deviation", "straightness"}]
     return unit, [DIRECTIONS[part] for part in parts if part in DIRECTIONS], others
 
 
 def _of_run(name: str) -> str:
     """``deviation_um (forward run 1)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
-    unit, ways, others = _parts_of_run(name) or ("", [], [])
+    unit, ways, others = _parts_of_run(name)
     if not unit or len(ways) > 1 or len(others) > 1 or any(not one.isdigit() for one in others):
         return ""
     return f"deviation_{unit} ({' '.join([*ways, 'run', *others])})"
@@ -352,7 +353,7 @@ def _check_columns_of_runs(where: str, header: Sequence[str], unit: str) -> None
     for name in header:
         if _RUN.fullmatch(name) and header.count(name) > 1:
             raise SurveyError(f"{where}: {name} is given twice; allowed: one column for each run, with its number")
-        own, ways, others = _parts_of_run(name) or ("", [], [])
+        own, ways, others = _parts_of_run(name)
         numbers = [one for one in others if one.isdigit()]
         if f"deviation_{own}" == unit and max(len(ways), len(numbers)) < 2 and not _COMPUTED.intersection(others):
             raise SurveyError(

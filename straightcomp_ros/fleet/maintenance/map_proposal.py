@@ -24,7 +24,7 @@ from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey
-from straightcomp_ros.straightness.survey_table import Direction
+from straightcomp_ros.straightness.survey_table import WAYS
 
 if TYPE_CHECKING:
     import pyarrow
@@ -90,8 +90,7 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float, guide: MapParam
     chosen = ours & (covered > 0) & whole(covered, int(np.count_nonzero(place)))
     x, at, changes = before.report.x, middles[place], profiles[GUIDE_BINS][:, place]
     runs: list[Run] = []
-    ways: tuple[tuple[Direction, NDArray[np.bool_]], ...] = (("forward", forward), ("backward", ~forward))
-    for way, these in ways:
+    for way, these in zip(WAYS, (forward, ~forward), strict=True):
         of_way = [_at(one, at, x) for one in changes[chosen & these]]
         if len(of_way) < _RUNS:
             shorter = np.count_nonzero(ours & ~chosen)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
-from straightcomp_ros.straightness.survey_table import PER_METRE, Direction, SurveyError
+from straightcomp_ros.straightness.survey_table import PER_METRE, WAYS, Direction, SurveyError
 
 UNITS = {"mm": PER_METRE["mm"], "inch": PER_METRE["in"], "m": PER_METRE["m"], "um": PER_METRE["um"]}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""
@@ -51,9 +51,7 @@ class Conventions:
         return max(1, math.ceil(-math.log10(resolution * self.per_metre)))
 
 
-def survey_of(
-    where: str, points: Iterable[Sequence[float]], ways: Sequence[Direction] = ("forward", "backward")
-) -> Survey:
+def survey_of(where: str, points: Iterable[Sequence[float]], ways: Sequence[Direction] = WAYS) -> Survey:
     """The survey of points (x, deviation of each way, or of the first of them), in m, in any order.
 
     ``where`` begins the messages. SurveyError for fewer than two points, or two at one x.
@@ -77,7 +75,7 @@ def sampled(straightness: StraightnessMap, spacing: float) -> tuple[NDArray[np.f
     pieces = max(1, math.ceil((last - first) / spacing - 1e-9))
     x = np.linspace(first, last, pieces + 1)
     fine = np.linspace(first, last, 16 * pieces + 1)
-    ways: tuple[Direction | None, ...] = ("forward", "backward") if straightness.directed else (None,)
+    ways = WAYS if straightness.directed else (None,)
     deviations = [-straightness.evaluate(x, way)[0] for way in ways]
     error = max(
         np.abs(np.interp(fine, x, deviation) + straightness.evaluate(fine, way)[0]).max()

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import Survey, orient
-from straightcomp_ros.straightness.survey_table import DIRECTIONS, Direction, SurveyError, number, numbered_lines
+from straightcomp_ros.straightness.survey_table import DIRECTIONS, WAYS, SurveyError, number, numbered_lines
 from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
@@ -104,11 +104,10 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
             _refuse_other_kinds(where, key.strip().lower(), value)
     if not any(blocks.values()):
         raise SurveyError(f"survey {path}: has no block 'Position … Avg Error'; is it API's .pos file?")
-    forward, backward = (sorted(blocks.get(way) or ()) for way in ("forward", "backward"))
+    forward, backward = (sorted(blocks.get(way) or ()) for way in WAYS)
     if not forward or not backward:
         name = "bidirectional" if blocks.get("bidirectional") else "forward" if forward else "backward"
-        way: Direction = "backward" if name == "backward" else "forward"
-        return survey_of(f"survey {path}, {name}", blocks[name], (way,))
+        return survey_of(f"survey {path}, {name}", blocks[name], (DIRECTIONS.get(name, "forward"),))
     positions, ours = [x for x, _ in forward], [x for x, _ in backward]
     if len(positions) != len(ours) or not np.allclose(positions, ours, rtol=0.0, atol=1e-7):
         raise SurveyError(f"survey {path}: the positions forward and backward differ; allowed: the same")

@@ -31,7 +31,7 @@ from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.smoothing import measured, point_noise
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
-from straightcomp_ros.straightness.survey_table import Direction, SurveyError
+from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 Array = NDArray[np.float64]
 
@@ -97,8 +97,7 @@ def separated(
         )
     first, other = values[: len(normal.runs)], values[len(normal.runs) :]
     pairs = list[tuple[str, Direction, Array]]()
-    ways: tuple[Direction, ...] = ("forward", "backward")
-    for way in ways:
+    for way in WAYS:
         both = (
             of_survey[[run.direction == way for run in survey.runs]]
             for survey, of_survey in ((normal, first), (second, other))

@@ -32,7 +32,7 @@ from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
 from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.survey import Survey, check_run, read_survey, write_survey
-from straightcomp_ros.straightness.survey_table import MARK, Direction, SurveyError
+from straightcomp_ros.straightness.survey_table import MARK, WAYS, SurveyError
 from straightcomp_ros.tuning.survey.alignment import align
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, sampled
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of, written
@@ -218,14 +218,13 @@ def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
         del figures["run"]
         figures |= {"points": run.x.size, "rejected": f"{run.name} {run.direction}" in built.rejected_runs}
         runs.append({"name": run.name, "direction": run.direction, **figures})
-    ways: tuple[Direction, ...] = ("forward", "backward") if built.straightness.directed else ()
     um = {
         "mean_um": found.mean,
         "forward_s_um": found.forward and found.forward.s,
         "backward_s_um": found.backward and found.backward.s,
         "reversal_um": found.reversal,
         "map_um": built.straightness.deviations(found.x),
-        **{f"map_{way}_um": built.straightness.deviations(found.x, way) for way in ways},
+        **{f"map_{way}_um": built.straightness.deviations(found.x, way) for way in WAYS if built.straightness.directed},
         "map_s_um": built.straightness.noise.band(found.x),
     }
     return {
