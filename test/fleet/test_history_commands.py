@@ -188,6 +188,11 @@ def test_a_stage_that_was_idle_since_a_day_does_not_keep_the_others_from_their_p
         assert [file.name for file in (tmp_path / verb).glob(f"[!.]*{ending}")] == [f"stage_1{ending}"]
         assert history(verb, *since, "-o", tmp_path / "none", "--name", "stage_0", "--name", "stage_1").code == 1
     assert history("report", tmp_path / "store", "--since", "2025-10-12", "-o", tmp_path / "none").code == 1
+    # As a damaged file is to be removed.
+    for file in (tmp_path / "store").glob("strokes/*/*/strokes.parquet"):
+        file.unlink()
+    found = history("report", tmp_path / "store", "-o", tmp_path / "none")
+    assert found.code == 1 and "'stage_0' has no strokes\n" in found.err
     assert not any((tmp_path / "none").iterdir())
 
 

@@ -18,8 +18,8 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from stores import COUNT, added, files_of, strokes_of
 from tiers import nightly
 
-from straightcomp_ros.fleet.history import HistoryError, adding
-from straightcomp_ros.fleet.history.bag_places import bags_in
+from straightcomp_ros.fleet.history import HistoryError, StorageError, adding
+from straightcomp_ros.fleet.history.bag_places import BagPlace, bags_in, is_finished
 from straightcomp_ros.fleet.history.rows import StrokeRow, schema_of
 from straightcomp_ros.fleet.history.store import Store
 
@@ -285,20 +285,35 @@ def test_no_thread_of_arrow_s_is_left_that_could_hold_python_s_bytes_when_the_in
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "set()\n"
 
 
-def test_a_file_of_which_one_bit_is_another_gives_no_figures(alone, tmp_path):
+def test_a_file_of_which_one_bit_is_another_gives_no_figures(copy):
     """DuckDB and Arrow take what it gives for values, and adding would write them on for good."""
-    store = shutil.copytree(alone[0], tmp_path / "store")
-    for file in (min(store.rglob("strokes.parquet")), min(store.rglob("bags/*.parquet"))):
+    for file in (min(copy.rglob("strokes.parquet")), min(copy.rglob("bags/*.parquet"))):
         whole = file.read_bytes()
         mark = range(whole.rindex(b"blake2b:"), whole.rindex(b"blake2b:") + 56)  # damaged, it is none: no value is
         for at in (at for at in range(0, len(whole), len(whole) // 40) if at not in mark):
             file.write_bytes(whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :])
             with pytest.raises(HistoryError, match=f"{file.name} is damaged"):
-                Store(str(store)).query("FROM strokes")
+                Store(str(copy)).query("FROM strokes")
         if file.name == "strokes.parquet":
             with pytest.raises(HistoryError, match="is damaged"):
-                Store(str(store)).strokes("stage_0")
+                Store(str(copy)).strokes("stage_0")
         file.write_bytes(whole)
+
+
+def test_an_error_that_only_a_storage_knows_is_one_of_the_storage_with_its_url(monkeypatch):
+    added("memory://months", SMC)
+    store, place = Store("memory://months"), BagPlace("memory://run", ("run_0.mcap", "metadata.yaml"), 1, None)
+    for name, use in (
+        ("isdir", store.stages),
+        ("isdir", lambda: store.strokes("synthetic")),
+        ("cat_file", lambda: store.strokes("synthetic")),
+        ("find", lambda: store.query("FROM bags")),
+    ):
+        with monkeypatch.context() as patch, pytest.raises(StorageError, match="memory://months: no answer"):
+            patch.setattr(type(store.files), name, Mock(side_effect=RuntimeError("no answer")))
+            use()
+    monkeypatch.setattr(type(store.files), "size", Mock(side_effect=RuntimeError("no answer")))
+    assert not is_finished(place)
 
 
 def test_what_a_worker_warns_of_is_said_here_with_the_bag(tmp_path, monkeypatch):

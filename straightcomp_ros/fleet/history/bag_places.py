@@ -96,7 +96,8 @@ def is_finished(place: BagPlace) -> bool:
         if path.endswith(".mcap"):
             files, inside, _ = file_system(path)
             try:
-                end = files.cat_file(inside, start=max(files.size(inside) - len(MCAP0_MAGIC), 0))
+                with reaching(path):
+                    end = files.cat_file(inside, start=max(files.size(inside) - len(MCAP0_MAGIC), 0))
             except OSError:
                 return False
             if end != MCAP0_MAGIC:

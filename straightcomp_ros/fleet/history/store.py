@@ -69,7 +69,8 @@ _ABANDONED_S = 60.0
 
 
 class Store:
-    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind or a path that is a file.
+    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind or a path that is a file; every method
+    raises StorageError where its storage does not answer.
 
     Attributes:
         url: as it was given.
@@ -123,9 +124,9 @@ class Store:
     def stages(self) -> list[str]:
         """Names of the stages, sorted."""
         folder = f"{self.root}/{STROKES}"
-        if not self.files.isdir(folder):
-            return []
-        names = (str(path).rstrip("/").rpartition("/")[2] for path in self.files.ls(folder, detail=False))
+        with reaching(self.url):
+            there = self.files.ls(folder, detail=False) if self.files.isdir(folder) else []
+        names = (str(path).rstrip("/").rpartition("/")[2] for path in there)
         return sorted(unquote(name.removeprefix("stage=")) for name in names if name.startswith("stage="))
 
     def strokes(self, stage: str) -> pyarrow.Table:
@@ -134,9 +135,10 @@ class Store:
         import pyarrow
 
         folder = f"{self.root}/{STROKES}/stage={quote(stored_name(stage), safe='')}"
-        if not self.files.isdir(folder):
-            known = ", ".join(self.stages()) or "none"
-            raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
+        with reaching(self.url):
+            if not self.files.isdir(folder):
+                known = ", ".join(self.stages()) or "none"
+                raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
         tables = self._each(folder, partial(rows_in, StrokeRow))
         return pyarrow.concat_tables([schema_of(StrokeRow).empty_table(), *tables]).sort_by(_ORDER)
 
@@ -231,7 +233,7 @@ class Store:
             with self._whole(file):
                 return read(data)
 
-        with ThreadPoolExecutor() as threads:
+        with reaching(self.url), ThreadPoolExecutor() as threads:
             return list(threads.map(one, (file for file in self.files.find(folder) if file.endswith(".parquet"))))
 
     def _bag_file(self, location: str) -> str:

@@ -302,7 +302,7 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
     if not names:
         fill = "fill it by `straightcomp history add`"
         raise CommandFailed(f"store {options.store} has no strokes; {fill}", exit_code=2)
-    found = False
+    found, since = False, f" since {options.since:%Y-%m-%d}" if options.since else ""
     for name in names:
         strokes = store.strokes(name)
         if options.since is not None:
@@ -311,12 +311,12 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
             found = True
             yield name, strokes
             continue
-        none = f"stage '{name}' has no strokes since {options.since:%Y-%m-%d}"
+        none = f"stage '{name}' has no strokes{since}"
         if options.name:
             raise CommandFailed(none)
         notes.print(none)
     if not found:
-        raise CommandFailed(f"store {options.store} has no strokes since {options.since:%Y-%m-%d}")
+        raise CommandFailed(f"store {options.store} has no strokes{since}")
 
 
 def _written(folder: Path, ending: str, texts: Mapping[str, str], force: bool) -> dict[str, Path]:
