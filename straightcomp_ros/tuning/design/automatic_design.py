@@ -30,11 +30,8 @@ from straightcomp_ros.tuning.design.error_budget import EXACT, NOTED, OWN, RIGID
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import UNEVEN, Judge, Judged, RunFigures, prepared_stroke, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
-from straightcomp_ros.tuning.design.stability import STANDARD, Demands, FailingLimits, failing_limits
+from straightcomp_ros.tuning.design.stability import STANDARD, FailingLimits, failing_limits
 from straightcomp_ros.tuning.sweep.trial import LawSummary, summarise, sweep
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction of it that is done."""
 
 SHIPPED_QUIET = 0.3
 """Weight of quiet coils against accuracy, unless another one is asked for."""
@@ -68,7 +65,6 @@ class Design:
     start_values: Mapping[str, float]  # those of the closed form
     start_figures: DesignFigures
     quiet: float  # the trade that was asked for
-    demands: Demands  # what the linear loop holds
     verification: LawSummary  # sweep over uncertain machines
     others: Sequence[LawSummary]  # the same of each other search, with more machines that were not in order
     budget: Sequence[BudgetEntry]  # what limits the error, the stage as described first
@@ -138,7 +134,7 @@ def design_gains(
     machines: int = _MACHINES,
     seed: int = 1,
     jobs: int = -1,
-    progress: Progress = lambda part, fraction: None,
+    progress: Callable[[str, float], None] = lambda part, fraction: None,
 ) -> Design:
     """Design ``law`` for the stage of ``scenario``; the gains of its controls are not read.
 
@@ -148,6 +144,7 @@ def design_gains(
         machines: of the verification.
         seed: of all random numbers; the same seed gives the same design on the same processor.
         jobs: processes; −1 takes all cores. The result does not depend on it.
+        progress: called with what is being done and the fraction of it that is done.
 
     Raises:
         DesignError: no gains hold the demands; the message says what would have to change.
@@ -179,7 +176,7 @@ def design_gains(
         return one.cost + math.log(uneven * pp.median / one.pp)
 
     progress("feasible", 0.0)
-    verified = list[tuple[LawSummary, Mapping[str, float], Demands]]()
+    verified = list[tuple[LawSummary, Mapping[str, float]]]()
     held, names, more = STANDARD, list(begins), list[dict[str, float]]()
     for rounds in range(1, _ROUNDS + 1):
         feasible = FeasibleGains(scenario, law, held, seed)
@@ -216,14 +213,14 @@ def design_gains(
             progress=lambda fraction: progress("verify", fraction),
         )
         (verification,) = summarise(trials)
-        verified.append((verification, best, held))
+        verified.append((verification, best))
         if not verification.not_in_order:
             break
         held, names, more = held.tightened(_TIGHTER), [way(best)], [dict(best)]
     if not verified:
         raise refusal(scenario, law, seed)
     kept = min(verified, key=lambda one: len(one[0].not_in_order))
-    verification, best, demands = kept
+    verification, best = kept
     shape = way(best)
     return Design(
         law=law,
@@ -233,7 +230,6 @@ def design_gains(
         start_values=begins[shape],
         start_figures=figures(begins[shape]),
         quiet=quiet,
-        demands=demands,
         verification=verification,
         others=[one[0] for one in verified if one is not kept],
         budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),

@@ -166,9 +166,8 @@ def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:
     """The same without the platform's modes and what they cost in filters and bandwidth, if it has any."""
     if not own.plant.platform.modes.present:
         return {}
-    platform = dataclasses.replace(own.plant.platform, modes=ModesParameters())
-    stage = dataclasses.replace(own.stage, platform=platform)
-    plant = dataclasses.replace(own.plant, platform=platform)
+    stage = own.stage.with_modes()
+    plant = dataclasses.replace(own.plant, platform=dataclasses.replace(own.plant.platform, modes=ModesParameters()))
     control = dataclasses.replace(
         with_gains(own.control, law, {**gains, **rule(law, stage)}), filters=FilterParameters()
     )

@@ -33,7 +33,7 @@ from straightcomp_ros.tuning.design.gain_search import (
     shortened,
 )
 from straightcomp_ros.tuning.design.gains import SEARCHED, closed_form, scaled, with_gains
-from straightcomp_ros.tuning.design.stability import StabilityCheck
+from straightcomp_ros.tuning.design.stability import STANDARD, StabilityCheck
 from straightcomp_ros.tuning.verbs import design as design_command
 
 LAW = "smc_observer"
@@ -48,9 +48,9 @@ def design(shipped):
 
 def test_a_designed_stage_keeps_its_margins_and_is_silent_at_rest(design, shipped):
     control = with_gains(shipped.controls[LAW], LAW, design.values)
-    assert StabilityCheck(shipped.description, design.demands).missed(control) == []
+    assert StabilityCheck(shipped.description).missed(control) == []
     assert missing_margin(control, shipped.description) is None
-    quiet, stiff, demands = design.limits["quiet"], design.limits["stiff"], design.demands
+    quiet, stiff, demands = design.limits["quiet"], design.limits["stiff"], STANDARD
     assert quiet.gain_low < demands.gain_low and quiet.gain_high > demands.gain_high
     assert stiff.gain_low < demands.stiff_gain_low and stiff.gain_high > demands.stiff_gain_high
     assert min(quiet.phase, stiff.phase) > demands.phase

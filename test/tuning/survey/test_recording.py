@@ -219,15 +219,9 @@ def test_the_sign_of_a_csv_file_is_turned_over_too_and_what_is_only_for_bags_is_
         for word in ([], ["--invert"])
     ]
     assert means[1] == pytest.approx([-one for one in means[0]]) and "# sign: inverted\n" in output.read_text()
-    for options in (
-        ["--unit", "m"],
-        ["--delay", "0"],
-        ["--on-platform"],
-        ["--sensor", "probe"],
-        ["--position", "axes"],
-    ):
-        code, _, said = verb("map", "build", source, *options)
-        assert code == 2 and f"{options[0]}: for bags" in said
+    for options in ("--unit m", "--delay 0", "--on-platform", "--sensor probe", "--position axes"):
+        code, _, said = verb("map", "build", source, *options.split())
+        assert code == 2 and f"{options.split()[0]}: for bags" in said
     code, _, said = verb("map", "build", SAMPLE, "--x-column", "X [mm]")
     assert code == 2 and "--x-column: for CSV files" in said
 
