@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
+from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -149,14 +149,13 @@ class Repeatability(NamedTuple):
 def repeatability(survey: Survey, x: Array, values: Array) -> Repeatability:
     """The figures of a survey at ``x`` (n,) in m, with ``values`` (runs, n) in m, both of :func:`on_common_grid`."""
 
-    driven: dict[str, Directed] = {}
-    for way in WAYS:
+    def directed(way: Direction) -> Directed | None:
         chosen = values[[run.direction == way for run in survey.runs]]
-        if len(chosen):
-            s = chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None
-            driven[way] = Directed(len(chosen), chosen.mean(axis=0), s)
-    forward, backward = driven.get("forward"), driven.get("backward")
-    mean = np.asarray(np.mean([one.mean for one in driven.values()], axis=0))
+        s = chosen.std(axis=0, ddof=1) if len(chosen) > 1 else None
+        return Directed(len(chosen), chosen.mean(axis=0), s) if len(chosen) else None
+
+    forward, backward = map(directed, WAYS)
+    mean = np.asarray(np.mean([one.mean for one in (forward, backward) if one], axis=0))
     reversal = both = None
     if forward and backward:
         reversal = forward.mean - backward.mean

@@ -91,12 +91,8 @@ PER_METRE = {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9, "in": 1.0 / 0.0254, "uin
 """How many of a unit make a metre."""
 
 
-def _quantity(name: str, units: str, smallest: float, largest: float) -> Quantity:
-    return Quantity(name, {f"{name}_{unit}": PER_METRE[unit] for unit in units.split()}, smallest, largest)
-
-
-X = _quantity("x", "m mm um in", 0.01, 20.0)
-DEVIATION = _quantity("deviation", "m mm um nm in uin", 1e-8, 5e-3)
+X = Quantity("x", {f"x_{unit}": PER_METRE[unit] for unit in ("m", "mm", "um", "in")}, 0.01, 20.0)
+DEVIATION = Quantity("deviation", {f"deviation_{unit}": per_metre for unit, per_metre in PER_METRE.items()}, 1e-8, 5e-3)
 
 
 class Row(NamedTuple):
@@ -133,7 +129,7 @@ _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
 _COMPUTED = {*["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "sigma", "σ", "ø"]}
 """What names a figure of runs among the columns of runs."""
-_RUN = re.compile(r"(\w+) \(((?:forward |backward )?)run(?: \d+)?\)")
+_RUN = re.compile(r"(\w+) \((forward|backward|) ?run(?: \d+)?\)")
 """What :func:`_of_run` makes of a run's column."""
 TIME_COLUMN = "time_s"
 """Of a recording over time."""
@@ -194,7 +190,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     try:
         header_line = f"survey {path}, line {lines[first - 1][0]}"
         x = _column(header_line, header, X)
-        deviation = header[runs[0]].partition(" ")[0] if runs else _column(header_line, header, DEVIATION)
+        deviation = next(iter(runs.values()))[0] if runs else _column(header_line, header, DEVIATION)
     except SurveyError as error:
         text = "\n".join(text for _, text in lines)
         kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
@@ -338,13 +334,13 @@ def _of_run(name: str) -> str:
     return f"deviation_{unit} ({' '.join([*ways, 'run', *others])})"
 
 
-def _columns_of_runs(header: Sequence[str]) -> list[int]:
-    """Where the runs are that have a column each, if the file is one of these."""
-    found = {at: run for at, name in enumerate(header) if (run := _RUN.fullmatch(name))}
-    units = {run[1] for run in found.values()}
-    directed = {bool(run[2]) for run in found.values()}
+def _columns_of_runs(header: Sequence[str]) -> dict[int, tuple[str, str]]:
+    """The column of deviation and the direction, empty where none is named, of each run that has a column of its own,
+    by its place; empty for another file."""
+    found = {at: (run[1], run[2]) for at, name in enumerate(header) if (run := _RUN.fullmatch(name))}
+    alike = len({(unit, bool(way)) for unit, way in found.values()}) == 1
     other = {"run", "direction", *DEVIATION.columns}.intersection(header)
-    return [*found] if len(units) == len(directed) == 1 and not other else []
+    return found if alike and not other else {}
 
 
 def _check_columns_of_runs(where: str, header: Sequence[str], unit: str) -> None:
@@ -363,18 +359,18 @@ def _check_columns_of_runs(where: str, header: Sequence[str], unit: str) -> None
 
 
 def _a_row_for_each(
-    runs: Sequence[int], header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]
+    runs: Mapping[int, tuple[str, str]], header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]
 ) -> tuple[list[str], list[tuple[str, int, list[str]]]]:
     """Header and rows with one column of deviation in place of one for each of ``runs``; an empty cell is no point."""
     shared = [at for at in range(len(header)) if at not in runs]
     found = [
-        (where, line, [*(row[at] for at in shared), f"{at}", header[at].split()[1].lstrip("("), row[at]])
+        (where, line, [*(row[at] for at in shared), f"{at}", way, row[at]])
         for where, line, row in rows
-        for at in runs
+        for at, (_, way) in runs.items()
         if row[at].strip()
     ]
-    unit, way = header[runs[0]].split()[:2]
-    return [*(header[at] for at in shared), RUN_COLUMN, "" if way.startswith("(run") else "direction", unit], found
+    unit, way = next(iter(runs.values()))
+    return [*(header[at] for at in shared), RUN_COLUMN, "direction" if way else "", unit], found
 
 
 def _spelled(name: str) -> str:
