@@ -15,16 +15,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from straightcomp_ros.straightness.residual import Array
 from straightcomp_ros.straightness.smoothing import ROUNDING, MapNoise, drifts, measured, smoothed
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
-
-Array = NDArray[np.float64]
 
 _BY_CHANCE = 1e-3
 """Share of surveys of a guide without hysteresis in which a part may count."""

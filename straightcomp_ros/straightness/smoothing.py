@@ -27,15 +27,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.residual import rms
+from straightcomp_ros.straightness.residual import Array, rms
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 from straightcomp_ros.straightness.survey_table import WAYS
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
-
-Array = NDArray[np.float64]
 
 NORMAL_95 = 1.96
 """Standard deviations to each side that hold 95 % of a normal distribution."""

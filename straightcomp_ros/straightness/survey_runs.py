@@ -18,16 +18,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from straightcomp_ros.straightness.residual import peak_to_peak
+from straightcomp_ros.straightness.residual import Array, peak_to_peak
 from straightcomp_ros.straightness.survey import Survey
 from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-
-Array = NDArray[np.float64]
 
 _RECOMMENDED = 5
 

@@ -34,9 +34,9 @@ def _profile():
     return 0.1 * rising**2 + 0.3 * cruise + 0.1 * (ramp**2 - falling**2), v, a
 
 
-def _run(feedforward, x, first=0):
+def _run(feedforward, x):
     """(n, 3): r, ṙ, r̈ for each sample."""
-    return np.array([feedforward.step((first + k) * PERIOD_NS, value) for k, value in enumerate(x.tolist())])
+    return np.array([feedforward.step(k * PERIOD_NS, value) for k, value in enumerate(x.tolist())])
 
 
 def test_a_stroke_seen_by_the_encoder_is_fed_forward_within_these_figures():

@@ -45,10 +45,7 @@ from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import Values
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.tuning.frequency_response.found_modes import FoundPlant, found_plant
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from straightcomp_ros.tuning.frequency_response.found_modes import Array, Complex, FoundPlant, found_plant
 
 WITHIN_DB, WITHIN_DEG = 1.0, 5.0
 """Deviations up to which a model explains a measurement."""
@@ -173,7 +170,7 @@ def margin_rows(*margins: Mapping[str, float | None]) -> list[tuple[str, ...]]:
     return [(heading(name), *(shown(one.get(name)) for one in margins)) for name in margins[0]]
 
 
-def response_margins(frequencies: Array, open_loop: NDArray[np.complex128]) -> ResponseMargins:
+def response_margins(frequencies: Array, open_loop: Complex) -> ResponseMargins:
     """Margins of a stable loop with ``open_loop`` at ``frequencies`` (lines,) in Hz, rising.
 
     Between two lines, logarithms of magnitude and phase run straight over the logarithm of the frequency. What lies
@@ -246,7 +243,7 @@ class ComparedResponse:
         )
 
     @property
-    def deviations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def deviations(self) -> tuple[Array, Array]:
         """(lines,) each: the measured plant relative to the model's, magnitude in dB and phase in degrees."""
         ratio = self.measured.response.plant / self.model.plant
         # A dead line is infinitely far off.
@@ -281,9 +278,9 @@ class ComparedResponse:
 
 def compared_response(
     excitation: Multisine,
-    asked: NDArray[np.float64],
-    commands: NDArray[np.float64],
-    reading: NDArray[np.float64],
+    asked: Array,
+    commands: Array,
+    reading: Array,
     control: ControlParameters,
     stage: StageParameters,
     clipped: int,
@@ -457,14 +454,14 @@ def _lateness(share: float) -> str:
     )
 
 
-def _missing_draws(excitation: Multisine, added: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
+def _missing_draws(excitation: Multisine, added: Array, wanted: Array) -> int:
     """Draws whose used period is not in ``added`` (n,): of most of an excitation the correlation is high too."""
     there, expected = excitation.used(added), excitation.used(wanted)
     power = np.sqrt(np.sum(there**2, axis=1) * np.sum(expected**2, axis=1))
     return int(np.count_nonzero(np.sum(there * expected, axis=1) <= _ALIKE * power))
 
 
-def _place(series: NDArray[np.float64], wanted: NDArray[np.float64]) -> tuple[int, float]:
+def _place(series: Array, wanted: Array) -> tuple[int, float]:
     """Where ``wanted`` (m,) begins in ``series`` (n,), and how well it correlates with what is there."""
     size = series.size + wanted.size
     product = np.fft.irfft(np.fft.rfft(series, size) * np.fft.rfft(wanted, size).conj(), size)

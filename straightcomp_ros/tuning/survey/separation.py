@@ -22,18 +22,15 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import MAP
 from straightcomp_ros.analysis.straightness_statement import Input, Statement, stated
 from straightcomp_ros.straightness.guide_map import MapParameters
-from straightcomp_ros.straightness.residual import rms
+from straightcomp_ros.straightness.residual import Array, rms
 from straightcomp_ros.straightness.smoothing import measured, point_noise
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
 from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
-
-Array = NDArray[np.float64]
 
 _LOUDEST = 10.0
 """A form of the edge counts as unseen where its noise, RMS over x, would be so many times that of a difference."""

@@ -27,13 +27,13 @@ def surveyed(random, noise=0.0, shift=0.0, scale=0.0, sign=1, guide=GUIDE, runs=
     return Survey(tuple(Run(str(k), ways[k], U, true + random.normal(0.0, noise, U.size)) for k in range(runs)))
 
 
-def stroked(random, guide=GUIDE, sensor=SENSOR, a_mm=6, span=(0.0, 1.76)):
+def stroked(random, guide=GUIDE, a_mm=6, span=(0.0, 1.76)):
     """Forward, backward and forward at 0.3 m/s: of the readings ``a_mm`` make a point every millimetre."""
     strokes = []
     for name, way in enumerate((1.0, -1.0, 1.0)):
         x = np.arange(*span, 1e-3) + random.uniform(0.0, 1e-3)
         line = TILT * (x - MIDDLE) + random.normal(0.0, 1e-6)
-        noise = random.normal(0.0, sensor / np.sqrt(a_mm), x.size)
+        noise = random.normal(0.0, SENSOR / np.sqrt(a_mm), x.size)
         strokes.append(Run(str(name), "forward" if way > 0 else "backward", x, guide(x - LAG * way) + line + noise))
     return strokes
 
@@ -174,12 +174,12 @@ NOISE = 0.02e-6
 SHIPPED = load_map()
 
 
-def measured(guide, seed, *, runs=2, points=12, noise=0.1e-6, scale=1.0):
+def measured(guide, seed, *, runs=2, noise=0.1e-6, scale=1.0):
     """``guide`` at some places, plus a line of its own."""
     random = np.random.default_rng(seed)
-    x = np.linspace(guide.span[0] + 0.01, guide.span[1] - 0.01, points)
+    x = np.linspace(guide.span[0] + 0.01, guide.span[1] - 0.01, 12)
     line = 3e-6 + 5e-6 * x
-    found = [scale * guide.deviations(x) + line + noise * random.standard_normal(points) for _ in range(runs)]
+    found = [scale * guide.deviations(x) + line + noise * random.standard_normal(x.size) for _ in range(runs)]
     directions = ("forward", "backward")
     return Survey(tuple(Run(str(k), directions[k % 2], x, one) for k, one in enumerate(found)), "check.csv")
 

@@ -32,17 +32,19 @@ CHOICES = Choices(step=10e-3, limit=6.0, level=False)
 SAMPLE = BAGS / "survey"
 LENGTH = 0.4
 START_NS = 1_700_000_000_000_000_000
+SPEED = 0.2
+"""m/s."""
 
 
 def guide(x):
     return 5e-6 * np.sin(2.0 * np.pi * x / 0.3)
 
 
-def driven(*ends, rate=200.0, speed=0.2, rest=0.3):
+def driven(*ends, rate=200.0, rest=0.3):
     """time, x: from end to end at constant speed, resting at each."""
     x = [np.full(round(rest * rate), ends[0])]
     for start, end in itertools.pairwise(ends):
-        count = round(abs(end - start) / speed * rate)
+        count = round(abs(end - start) / SPEED * rate)
         x += [start + (end - start) * np.arange(1, count + 1) / count, np.full(round(rest * rate), end)]
     x = np.concatenate(x)
     return np.arange(x.size) / rate, x
@@ -263,7 +265,6 @@ def test_what_cannot_be_read_is_named(build_other, options, words):
     assert code != 0 and words in " ".join(said.split())
 
 
-SPEED = 0.2
 SECOND = np.arange(0.0, 1.0001, 0.01)
 
 

@@ -146,8 +146,8 @@ def etalon(error="EYX"):
     return written("etalon", POINTS, MM).replace("EYX", error)
 
 
-def rtl(runs, first="", count=24, listed=X):
-    targets = "\n".join("  ".join(f"{x:.4f}" for x in listed[at : at + 5]) for at in range(0, len(listed), 5))
+def rtl(runs, first="", count=24):
+    targets = "\n".join("  ".join(f"{x:.4f}" for x in X[at : at + 5]) for at in range(0, 24, 5))
     rows = "\n".join(f"  {run}  {target}  {value}" for run, target, value in runs)
     return (
         f"HEADER::\nFile type: {first}\nTARGET DATA::\nTarget-count:{count}\nTargets :\n{targets}\nFlags: 1\n"
