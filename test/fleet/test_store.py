@@ -70,14 +70,6 @@ def copy(alone, tmp_path):
     return shutil.copytree(alone[0], tmp_path / "store")
 
 
-def right(store, expected):
-    """Whether each stroke is there once and as it should be, with those of each bag that has a row."""
-    found = strokes_of(store)
-    known = Store(str(store)).query("SELECT checksum FROM bags WHERE reason IS NULL").to_pylist()
-    stored = [row["checksum"] for row in found]
-    return all(row in expected for row in found) and all(stored.count(row["checksum"]) == 2 for row in known)
-
-
 @pytest.mark.parametrize(("moment", "nth"), [("before", 2), *nightly([("before", 1), ("after", 1), ("after", 2)])])
 def test_a_kill_at_a_rename_leaves_a_store_that_is_right(months, alone, tmp_path, moment, nth):
     """The moments at which a store could be wrong: a whole file is there, but not under its name, and the reverse."""
@@ -99,7 +91,11 @@ added({str(tmp_path)!r}, {str(months / "stage_0")!r})
     done = subprocess.run([sys.executable, "-c", program], cwd=here, check=False)
     assert done.returncode == -signal.SIGKILL
     if list((tmp_path / "bags").glob("*")):
-        assert right(tmp_path, strokes_of(alone[0]))
+        # Each stroke is there once and as it should be, with those of each bag that has a row.
+        found, expected = strokes_of(tmp_path), strokes_of(alone[0])
+        known = Store(str(tmp_path)).query("SELECT checksum FROM bags WHERE reason IS NULL").to_pylist()
+        stored = [row["checksum"] for row in found]
+        assert all(row in expected for row in found) and all(stored.count(row["checksum"]) == 2 for row in known)
     added(tmp_path, months)
     assert files_of(tmp_path) == alone[1]
 

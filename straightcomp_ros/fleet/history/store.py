@@ -229,12 +229,15 @@ class Store:
         there. Raises HistoryError for a damaged file."""
 
         def one(file: str) -> _Read:
-            data = self.files.cat_file(file)
+            with reaching(self.url):
+                data = self.files.cat_file(file)
             with self._whole(file):
                 return read(data)
 
-        with reaching(self.url), ThreadPoolExecutor() as threads:
-            return list(threads.map(one, (file for file in self.files.find(folder) if file.endswith(".parquet"))))
+        with reaching(self.url):
+            files = [file for file in self.files.find(folder) if file.endswith(".parquet")]
+        with ThreadPoolExecutor() as threads:
+            return list(threads.map(one, files))
 
     def _bag_file(self, location: str) -> str:
         return f"{self.root}/{BAGS}/{checksum_of([location.encode('utf-8', 'surrogateescape')])}.parquet"

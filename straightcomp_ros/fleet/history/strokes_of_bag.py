@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from straightcomp_ros.analysis.current_path import Recording, current_path
@@ -21,7 +20,7 @@ from straightcomp_ros.analysis.evaluation import FOR_EVER, BagEvaluation, percen
 from straightcomp_ros.analysis.judged_motion import recorded_drive
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_of_stroke, standstill_figures, stroke_figures
-from straightcomp_ros.analysis.record import RecordedReference, Stroke, StrokeRecord
+from straightcomp_ros.analysis.record import Array, RecordedReference, Stroke, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.analysis.straightness_statement import statements
 from straightcomp_ros.bags import MAP_ATTACHMENT
@@ -35,7 +34,6 @@ from straightcomp_ros.stage.description import StageParameters
 
 _IN_THE_LOOP = ("driver", "feedforward", "controller")
 """Nodes whose parameters have an effect on a stroke. The logger's name each bag's folder."""
-Array = NDArray[np.float64]
 _WIDTH = 1e-3 * BIN_MM
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 _SIMULATED_NS = 10**18

@@ -16,13 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.record import whole
+from straightcomp_ros.analysis.record import Array, whole
 from straightcomp_ros.fleet.history.rows import BIN_MM
 
 if TYPE_CHECKING:
     import pyarrow
-
-Array = NDArray[np.float64]
 
 
 class Watched(NamedTuple):

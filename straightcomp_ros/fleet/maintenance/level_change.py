@@ -23,8 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.fleet.history.rows import BIN_MM
-from straightcomp_ros.fleet.maintenance.day_levels import BASELINE, Array, Watched
+from straightcomp_ros.fleet.maintenance.day_levels import BASELINE, Watched
 
 SLACK = 2.0
 """k: levels within so many standard deviations of the baseline's median add nothing."""

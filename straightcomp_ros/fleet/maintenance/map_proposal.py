@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.judgement import IN_ORDER, WRONG_GUIDE
 from straightcomp_ros.analysis.map_building import MAP, OUTLIERS, BuiltMap, Choices, build
-from straightcomp_ros.analysis.record import whole
+from straightcomp_ros.analysis.record import Array, whole
 from straightcomp_ros.fleet.history.rows import BIN_MM, checksum_of
-from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, Array, on_one_grid
+from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, on_one_grid
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak

@@ -18,6 +18,7 @@ from markupsafe import Markup
 from straightcomp_ros.analysis.html_page import blocks, html_page, line_figure
 from straightcomp_ros.analysis.judgement import IN_ORDER
 from straightcomp_ros.analysis.metrics import LINES
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREEN, GREY, VERMILION
 from straightcomp_ros.fleet.maintenance.advice import Advice, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import (
@@ -26,7 +27,6 @@ from straightcomp_ros.fleet.maintenance.day_levels import (
     ERROR_BINS,
     GUIDE,
     WATCHED,
-    Array,
     DayLevels,
     day_levels,
     median_of,

@@ -4,6 +4,7 @@ import math
 import re
 import sys
 from functools import partial
+from itertools import zip_longest
 
 import pytest
 
@@ -13,10 +14,6 @@ from straightcomp_ros.parameters.output_files import plain
 from straightcomp_ros.tuning.sweep.trial import TrialResult, plot_sweep, run_trials, summarise, sweep
 
 SHORT = ["--set", "stage.motion.stroke=0.02", "--set", "stage.motion.settle=0.1", "--set", "stage.motion.pause=0.1"]
-
-
-def result(trial: int, pp: float, word: str = "in_order") -> TrialResult:
-    return TrialResult(trial, "linear", pp, pp / 6.0, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
 
 
 @pytest.fixture
@@ -47,7 +44,10 @@ def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_
 
 def summary_of(errors, *words):
     """The only summary of machines with these errors in µm, and these words of verdicts, in order by default."""
-    (summary,) = summarise(result(trial, 1e-6 * pp, *words[trial : trial + 1]) for trial, pp in enumerate(errors))
+    (summary,) = summarise(
+        TrialResult(trial, "linear", 1e-6 * pp, 1e-7, 1.0, 1e-3, Verdict(word, f"error of machine {trial}"))
+        for trial, (pp, word) in enumerate(zip_longest(errors, words, fillvalue="in_order"))
+    )
     return summary
 
 
