@@ -1,7 +1,8 @@
 """A proposed map: the old one, changed by what a displacement sensor saw of the guide on the last days' strokes.
 
-What it sees of single strokes is noisier than a survey, but there are many of them. Without it nothing shows that the
-guide has moved (docs/maintenance.md).
+The encoder of y sees the platform relative to the slider. Whether the guide under the slider has moved, neither it nor
+what is learned from stroke to stroke (r − y) shows: a sensor on the slider that measures against a straight edge must
+be recorded with the strokes. What it sees of single strokes is noisier than a survey, but there are many of them.
 """
 
 from __future__ import annotations
