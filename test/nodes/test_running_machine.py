@@ -63,16 +63,15 @@ class Client:
     def give(self, node, values):
         self.given.setdefault(node, {}).update(values)
 
-    def ask(self, service, request):
-        self.asked.append((service, getattr(request, "data", None)))
+    def ask(self, kind, service, data=None):
+        self.asked.append((service, data))
         if service == "driver/enable":
-            self.safety = ON if request.data else OFF
-            if request.data and self.interrupt == "enable":
+            self.safety = ON if data else OFF
+            if data and self.interrupt == "enable":
                 raise KeyboardInterrupt
         return SimpleNamespace(success=True, message="")
 
-    def require(self, service, request):
-        self.ask(service, request)
+    require = ask
 
     def move(self, waypoints):
         self.moves.append(waypoints)

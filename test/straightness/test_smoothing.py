@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from tiers import nightly
 
+from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import NORMAL_95, measured, point_noise
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid
-from straightcomp_ros.tuning.identification.estimate import excitation_survey
+from straightcomp_ros.tuning.identification.estimate import excitation
 from trials.noise import FINE, GUIDE, JOINT, KINK, WAYS, Kind, errors, guide, kinds, mapped, surveyed
 
 LACKING = range(300, 316)
@@ -52,7 +54,8 @@ def test_of_a_run_that_was_not_repeated_only_what_bends_the_reference_more_than_
             found.noise.smoothed == (bends[0] > 2.0 * bends[1])
             and bends[1] < 2.0 * np.abs(GUIDE.evaluate(FINE)[2]).max()
         )
-    assert not StraightnessMap(excitation_survey(0.5), MapParameters(travel=0.01)).noise.smoothed
+    half_a_metre = StageParameters(motion=MotionParameters(stroke=0.5))
+    assert not StraightnessMap(excitation(half_a_metre).survey, MapParameters(travel=0.01)).noise.smoothed
 
 
 @pytest.mark.parametrize("file", ["config/guide_synthetic.csv", "config/survey_synthetic.csv"])

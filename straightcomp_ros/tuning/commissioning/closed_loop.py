@@ -30,7 +30,7 @@ from straightcomp_ros.control.excitation import (
     MultisineParameters,
     suited_multisine,
 )
-from straightcomp_ros.model.motion import forward_and_back, reach
+from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
@@ -56,9 +56,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     POOR,
     Estimate,
     estimate_from_bag,
-    excitation_facts,
-    excitation_scale,
-    excitation_survey,
+    excitation,
 )
 
 LAW = "smc_observer"
@@ -170,14 +168,11 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
         LeftTravel: the platform left its travel, and there is no such law, or under it too.
     """
     # Beside the bag: in the folder itself may be a file of the user's own, the survey even.
-    stage, excitation = work.stage, bag.with_name("excitation.csv")
-    low, high = reach(stage.motion)
-    length = min(_LENGTH, high - low)
-    excitation.parent.mkdir(parents=True, exist_ok=True)
-    scale = excitation_scale(stage.motion, length)
-    write_survey(excitation, excitation_survey(length, low, scale, stage.guide), ("Made up: excites the platform.",))
-    facts = excitation_facts(stage.guide, scale, low, length)
-    values = with_values(work.values, "stage", {"guide.file": str(excitation), **facts})
+    stage, file = work.stage, bag.with_name("excitation.csv")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    survey, facts = excitation(stage, _LENGTH)
+    write_survey(file, survey, ("Made up: excites the platform.",))
+    values = with_values(work.values, "stage", {"guide.file": str(file), **facts})
     cycle_ns = forward_and_back(node_parameters("driver", values).stage.motion)[-1].time_ns
     count = math.ceil((SHORTEST + SWITCH_ON) * stage.period_ns / cycle_ns)
     try:

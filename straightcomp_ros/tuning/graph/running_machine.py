@@ -97,7 +97,7 @@ class RunningMachine:
             self._client.give("driver", {_TRAVEL: excitation.travel})
             with self._recorded(bag), self._switched_on(), suppress(LeftTravel):  # the series shows it
                 self._sleep(_CREEP_S)
-                self._client.require("controller/excite", SetBool.Request(data=True))
+                self._client.require(SetBool, "controller/excite", data=True)
                 self._sleep(excitation.duration + _SETTLE_S)
         finally:
             self._client.give("driver", {_TRAVEL: self._travel})
@@ -130,7 +130,7 @@ class RunningMachine:
         try:
             with self._recorded(bag), self._switched_on():
                 self._sleep(2.0 * _SETTLE_S)
-                self._client.require("controller/excite", SetBool.Request(data=True))
+                self._client.require(SetBool, "controller/excite", data=True)
                 why_ended = partial(self._why_ended, time.monotonic())
                 end = time.monotonic() + duration
                 while moving and time.monotonic() < end and not why_ended():
@@ -252,11 +252,11 @@ class RunningMachine:
     @contextmanager
     def _switched_on(self) -> Iterator[None]:
         client = self._client
-        client.require("driver/reset_fault", Trigger.Request())
+        client.require(Trigger, "driver/reset_fault")
         end = time.monotonic() + ANSWER_S
         # An interrupt may come after a request and before its answer.
         try:
-            while not (answer := client.ask("driver/enable", SetBool.Request(data=True))).success:
+            while not (answer := client.ask(SetBool, "driver/enable", data=True)).success:
                 if time.monotonic() > end:
                     raise CommissioningError(f"the amplifier cannot be switched on: {answer.message}")
                 time.sleep(_SETTLE_S)
@@ -267,7 +267,7 @@ class RunningMachine:
             )
             yield
         finally:
-            client.require("driver/enable", SetBool.Request(data=False))
+            client.require(SetBool, "driver/enable", data=False)
 
     def _sleep(self, seconds: float, over: Callable[[], object] = lambda: False) -> None:
         """Wait, not longer than until it is ``over``; the amplifier must not go off meanwhile if it is on.

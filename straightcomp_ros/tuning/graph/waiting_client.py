@@ -18,7 +18,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from straightcomp_ros.contract import COMMISSIONING_CLIENT, HEARTBEAT
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
@@ -36,9 +36,6 @@ _ENDED_S = _LISTEN_S + 2.0 * GONE_AFTER_S
 """s after which no node counts a client as alive that ended, or was killed, when this one began."""
 _POLL_S = 0.01
 _WATCH_S = 0.05
-_KINDS: dict[type, Any] = {
-    kind.Request: kind for kind in (ChangeState, GetState, SetBool, SetParametersAtomically, Trigger)
-}
 _STATES = ("unconfigured", "inactive", "active")
 _UP = (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE)
 _DOWN = (None, Transition.TRANSITION_CLEANUP, Transition.TRANSITION_DEACTIVATE)
@@ -124,35 +121,34 @@ class WaitingClient(GraphClient):
 
     def bring(self, node: str, goal: str) -> None:
         """Bring ``node`` to the lifecycle state ``goal``: unconfigured, inactive or active."""
-        state, wanted = self.ask(f"{node}/get_state", GetState.Request()).current_state.label, _STATES.index(goal)
+        state, wanted = self.ask(GetState, f"{node}/get_state").current_state.label, _STATES.index(goal)
         if state not in _STATES:
             raise CommissioningError(f"node '{node}' is in state '{state}'; allowed: {', '.join(_STATES)}")
         here = _STATES.index(state)
         while here != wanted:
             transition, there = (_UP[here], here + 1) if here < wanted else (_DOWN[here], here - 1)
-            if not self.ask(f"{node}/change_state", ChangeState.Request(transition=Transition(id=transition))).success:
+            if not self.ask(ChangeState, f"{node}/change_state", transition=Transition(id=transition)).success:
                 raise CommissioningError(f"node '{node}' did not become {_STATES[there]}; its log says why")
             here = there
 
     def give(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of ``node``, all or none."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        request = SetParametersAtomically.Request(parameters=parameters)
-        result = self.ask(f"{node}/set_parameters_atomically", request).result
+        result = self.ask(SetParametersAtomically, f"{node}/set_parameters_atomically", parameters=parameters).result
         if not result.successful:
             raise CommissioningError(f"node '{node}': {result.reason}")
 
-    def ask(self, service: str, request: Any) -> Any:
-        """The response of a service."""
-        client = self.service(_KINDS[type(request)], service)
+    def ask(self, kind: Any, service: str, **request: Any) -> Any:
+        """The response of a service of this ``kind`` to a request with these fields."""
+        client = self.service(kind, service)
         self.wait(lambda: client.ready, _START_S, f"service '{service}' is not there; does the node run?")
-        future = client.call(request)
+        future = client.call(kind.Request(**request))
         self.wait(future.done, ANSWER_S, f"service '{service}' does not answer")
         return future.result()
 
-    def require(self, service: str, request: Any) -> None:
+    def require(self, kind: Any, service: str, **request: Any) -> None:
         """Call a service that answers with success and message; CommissioningError with its message if it refuses."""
-        response = self.ask(service, request)
+        response = self.ask(kind, service, **request)
         if not response.success:
             raise CommissioningError(f"{service}: {response.message or 'refused'}")
 

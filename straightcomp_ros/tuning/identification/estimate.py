@@ -10,14 +10,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from straightcomp_ros.analysis.current_path import CurrentPath, Recording, current_path, read_recording
-from straightcomp_ros.model.motion import MotionParameters
+from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.parameter_file import as_yaml
 from straightcomp_ros.stage.description import StageParameters
@@ -259,31 +259,23 @@ def parameter_file(estimate: Estimate) -> str:
     return "\n".join(lines) + "\n"
 
 
-def excitation_scale(motion: MotionParameters, length: float) -> float:
-    """Factor of the excitation's lengths along x, with which its waves have their frequencies in this ``motion`` over
-    ``length`` in m."""
-    # A short stroke may end before the stage has its speed.
-    return min(motion.speed, math.sqrt(motion.acceleration * length)) / _SPEED
+class Excitation(NamedTuple):
+    """A map, and the facts of a description, by dotted name, in place of those of the user's guide and motion."""
+
+    survey: Survey
+    facts: dict[str, Any]
 
 
-def excitation_runout(guide: MapParameters, scale: float) -> float:
-    """Length in m over which the excitation's map runs out in place of that of ``guide``: it goes on as the waves end,
-    steeply where they are short."""
-    return min(1.0, scale) * guide.runout
-
-
-def excitation_facts(guide: MapParameters, scale: float, first: float, length: float) -> dict[str, Any]:
-    """Facts of a description, by dotted name, in place of those of the user's ``guide`` and motion: of one stroke
-    without stops over ``length`` in m from x = ``first`` along the excitation's map. What is demanded of the user's
-    survey is not demanded of this one."""
-    stroke = {"motion.start": first, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
-    demands = {"guide.min_points": _GUIDE.min_points, "guide.max_gap": _GUIDE.max_gap}
-    return {"guide.runout": excitation_runout(guide, scale), **demands, **stroke}
-
-
-def excitation_survey(length: float, first: float = 0.0, scale: float = 1.0, guide: MapParameters = _GUIDE) -> Survey:
-    """The map that excites all parameters, over ``length`` in m from x = ``first``, within the platform's travel along
-    ``guide``."""
+def excitation(stage: StageParameters, longest: float = math.inf) -> Excitation:
+    """What excites all parameters of ``stage`` in one stroke without stops over its reach, or ``longest`` in m of that,
+    within the platform's travel. What is demanded of the user's survey is not demanded of this one."""
+    motion, guide = stage.motion, stage.guide
+    first, last = reach(motion)
+    length = min(longest, last - first)
+    # Of lengths along x, so that the waves have their frequencies; a short stroke may end before its full speed.
+    scale = min(motion.speed, math.sqrt(motion.acceleration * length)) / _SPEED
+    # The map goes on as the waves end, steeply where they are short.
+    runout = min(1.0, scale) * guide.runout
     x = np.linspace(0.0, length, max(_FEWEST, round(length / (min(1.0, scale) * _SPACING))) + 1)
     waves = sum(
         # Of a wave longer than the stroke the platform would reach one side only.
@@ -291,6 +283,9 @@ def excitation_survey(length: float, first: float = 0.0, scale: float = 1.0, gui
         for number, (wavelength, amplitude) in enumerate(WAVES)
     )
     survey = Survey((Run("1", "forward", first + x, np.asarray(waves)),), "excitation")
-    whole = StraightnessMap(survey, MapParameters(travel=math.inf, runout=excitation_runout(guide, scale)))
+    whole = StraightnessMap(survey, MapParameters(travel=math.inf, runout=runout))
     share = min(1.0, _REACH * guide.travel / whole.largest)
-    return Survey((Run("1", "forward", first + x, share * np.asarray(waves)),), "excitation")
+    survey = Survey((Run("1", "forward", first + x, share * np.asarray(waves)),), "excitation")
+    stroke = {"motion.start": first, "motion.stroke": length, "motion.steps": 1, "motion.file": ""}
+    demands = {"guide.min_points": _GUIDE.min_points, "guide.max_gap": _GUIDE.max_gap}
+    return Excitation(survey, {"guide.runout": runout, **demands, **stroke})

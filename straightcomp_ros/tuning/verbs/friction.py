@@ -37,7 +37,7 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
-from straightcomp_ros.model.motion import goals, reach
+from straightcomp_ros.model.motion import goals
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping, under
 from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
@@ -49,9 +49,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
-    excitation_facts,
-    excitation_scale,
-    excitation_survey,
+    excitation,
     parameter_file,
 )
 
@@ -81,10 +79,8 @@ def run(options: argparse.Namespace) -> None:
         raise CommandFailed("allowed: either a BAG or --excitation FILE", exit_code=2)
     if options.excitation is not None:
         stage = node_parameters("driver", chosen_parameters(options)).stage
-        low, high = reach(stage.motion)
-        scale = excitation_scale(stage.motion, high - low)
         file = output_file(options, "--excitation")
-        waves = excitation_survey(high - low, low, scale, stage.guide)
+        waves, facts = excitation(stage)
         deviation = waves.runs[0].deviation
         half = 0.5 * float(deviation.max() - deviation.min())
         moves = f"The platform moves up to {half * 1e6:.0f} um to each side."
@@ -93,7 +89,7 @@ def run(options: argparse.Namespace) -> None:
             # After the user's own: the last one counts.
             guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]
             own, one_way = to_mapping(stage), len(goals(stage.motion)) == 2
-            for name, value in excitation_facts(stage.guide, scale, low, high - low).items():
+            for name, value in facts.items():
                 # A stroke without stops stays as it is, backward too.
                 if value != own[name] and not (one_way and name.startswith("motion.")):
                     guides.append(f"stage.{name}={as_yaml(value)}")

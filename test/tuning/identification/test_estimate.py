@@ -36,14 +36,13 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimate,
     Estimated,
     estimate_from_bag,
-    excitation_runout,
-    excitation_scale,
-    excitation_survey,
+    excitation,
     parameter_file,
 )
 from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, sliding_start, unknowns
 from straightcomp_ros.tuning.verbs import friction
 
+START = StageParameters()
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
 STIFF = {
     "platform.mass": 3.4,
@@ -90,21 +89,22 @@ def values(plant, law="linear", **stage):
 
 
 @pytest.fixture(scope="module")
-def excitation(tmp_path_factory):
+def waves(tmp_path_factory):
+    """The map of an excitation of the whole stroke."""
     path = tmp_path_factory.mktemp("excitation") / "excitation.csv"
-    write_survey(path, excitation_survey(STROKE))
+    write_survey(path, excitation(START).survey)
     return str(path)
 
 
 @pytest.fixture(scope="module")
-def stiff_bag(tmp_path_factory, excitation):
-    return recorded_run(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=excitation))
+def stiff_bag(tmp_path_factory, waves):
+    return recorded_run(tmp_path_factory.mktemp("stiff") / "bag", values(STIFF, guide_file=waves))
 
 
 @pytest.fixture(scope="module")
-def far_bag(tmp_path_factory, excitation):
+def far_bag(tmp_path_factory, waves):
     """A machine that the description does not fit, under a law that is slow enough for both."""
-    parameters = values({**FAR, "platform.stop": 8e-4}, guide_file=excitation)
+    parameters = values({**FAR, "platform.stop": 8e-4}, guide_file=waves)
     parameters["controller"].update(SAFE)
     return recorded_run(tmp_path_factory.mktemp("far") / "bag", parameters)
 
@@ -118,7 +118,6 @@ def stiff_answer(stiff_bag, tmp_path_factory):
     return found.json, file
 
 
-START = StageParameters()
 WITHIN = {
     "platform.mass": 0.01,
     "actuator.air_gap": 0.002,
@@ -160,8 +159,8 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
 
 
 @pytest.mark.nightly
-def test_another_plant_under_another_law_is_found_too(tmp_path, excitation):
-    bag = recorded_run(tmp_path / "bag", values(SOFT, law="smc", guide_file=excitation))
+def test_another_plant_under_another_law_is_found_too(tmp_path, waves):
+    bag = recorded_run(tmp_path / "bag", values(SOFT, law="smc", guide_file=waves))
     estimate = estimate_from_bag(bag, START, ["actuator.turns"])
     assert_found(estimate.parameters, SOFT)
     assert estimate.advice == {}
@@ -170,12 +169,12 @@ def test_another_plant_under_another_law_is_found_too(tmp_path, excitation):
 
 
 @pytest.mark.nightly
-def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path, excitation):
+def test_a_coarse_encoder_leaves_the_forces_less_certain_than_a_fine_one(tmp_path, waves):
     widths, truth = {}, truth_of(STIFF)
     # STIFF has its own mass, and the description's is taken as known: what is compared is relative to it.
     scale = START.platform.mass / truth["platform.mass"]
     for count in (5e-8, 4e-7):
-        parameters = values(STIFF, guide_file=excitation)
+        parameters = values(STIFF, guide_file=waves)
         parameters["stage"]["encoder.y_resolution"] = count
         start = dataclasses.replace(START, encoder=dataclasses.replace(START.encoder, y_resolution=count))
         found = estimate_from_bag(recorded_run(tmp_path / f"{count}", parameters), start, ["platform.mass"]).parameters
@@ -242,9 +241,9 @@ SHIFT = 25e-6
 
 
 @pytest.fixture
-def shifted_bag(tmp_path, excitation):
+def shifted_bag(tmp_path, waves):
     shifted = rewired(lambda sample: sample._replace(y=sample.y + SHIFT))
-    return recorded_run(tmp_path / "bag", values(STIFF, guide_file=excitation), wiring=shifted)
+    return recorded_run(tmp_path / "bag", values(STIFF, guide_file=waves), wiring=shifted)
 
 
 def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag, stiff_bag):
@@ -384,15 +383,15 @@ def test_the_command_after_an_excitation_is_of_the_users_stage_with_that_guide_a
 def test_an_excitation_stays_within_the_platforms_travel_where_it_runs_out_too_and_is_the_usual_one_where_it_does(
     length, speed, acceleration
 ):
-    scale = excitation_scale(MotionParameters(speed=speed, acceleration=acceleration), length)
-    usual = excitation_survey(length, scale=scale, guide=MapParameters(travel=1e-2))
+    stage = StageParameters(motion=MotionParameters(speed=speed, acceleration=acceleration, stroke=length))
+    usual = excitation(dataclasses.replace(stage, guide=MapParameters(travel=1e-2))).survey
     for travel in (2e-5, 4e-5, 1e-4, 3e-4):
         guide = MapParameters(travel=travel)
-        waves = excitation_survey(length, scale=scale, guide=guide)
+        survey, facts = excitation(dataclasses.replace(stage, guide=guide))
         # It is refused where it reaches farther.
-        made = StraightnessMap(waves, dataclasses.replace(guide, runout=excitation_runout(guide, scale)))
+        made = StraightnessMap(survey, dataclasses.replace(guide, runout=facts["guide.runout"]))
         whole = made.largest < 0.89 * travel
-        assert np.array_equal(waves.runs[0].deviation, usual.runs[0].deviation) == whole
+        assert np.array_equal(survey.runs[0].deviation, usual.runs[0].deviation) == whole
         assert whole or made.largest == pytest.approx(0.9 * travel)
 
 
@@ -532,12 +531,13 @@ def test_the_model_resolves_stiff_bristles_under_a_light_platform_as_the_simulat
 
 
 def test_a_slow_short_stage_without_friction_on_a_fine_encoder_is_found_within_its_intervals(tmp_path):
-    scale = excitation_scale(MotionParameters(speed=0.05, acceleration=0.5), 0.05)
-    write_survey(tmp_path / "waves.csv", excitation_survey(0.05, scale=scale))
     slow = {"motion.speed": 0.05, "motion.acceleration": 0.5, "motion.stroke": 0.05, "platform.mass": 0.5}
     free = {"friction.coulomb": 0.0, "friction.static": 0.0, "friction.viscous": 0.5, "encoder.y_resolution": 1e-8}
-    parameters = values({}, guide_file=str(tmp_path / "waves.csv"), guide_runout=0.02 * scale)
+    parameters = values({}, guide_file=str(tmp_path / "waves.csv"))
     parameters["stage"] |= {**slow, **free}
+    survey, facts = excitation(StageParameters(motion=MotionParameters(speed=0.05, acceleration=0.5, stroke=0.05)))
+    write_survey(tmp_path / "waves.csv", survey)
+    parameters["stage"] |= facts
     bag = recorded_run(tmp_path / "bag", parameters)
     described = node_parameters("driver", parameters).stage
     start = dataclasses.replace(described, platform=dataclasses.replace(described.platform, mass=0.6))
