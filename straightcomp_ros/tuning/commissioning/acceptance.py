@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.evaluation import evaluate_bag
+from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.judgement import STARVED, Verdict
 from straightcomp_ros.analysis.metrics import Metrics, evaluate
@@ -90,7 +90,7 @@ def acceptance(work: Work) -> Outcome:
     from straightcomp_ros.analysis.pictures import plot_run
 
     title = f"Acceptance of stage '{work.stage.name}'"
-    plot_run(stroke.record, straightness, stroke.metrics, work.folder / STROKE, title)
+    plot_run(stroke.run.record, straightness, stroke.metrics, work.folder / STROKE, title)
     checked, survey = _checked(work, straightness)
     figures |= checked
     if checked and not checked["survey_agrees"]:
@@ -111,7 +111,7 @@ def _presliding(work: Work, stroke: "_Stroke") -> dict[str, Any]:
     if stage.friction.model == BLOCKS or not stage.friction.coulomb > 0.0:
         return {}
     blocks = {"friction.model": BLOCKS}
-    late = _late(stroke.latency, round(stage.drive.delay * stage.period_ns))
+    late = _late(stroke.run.latency, round(stage.drive.delay * stage.period_ns))
     described, measured = _predicted(work.described(), late), float(stroke.figures["encoder_rms_um"])
     if not measured > _EXPLAINED * max(described):
         return {}
@@ -137,11 +137,10 @@ def _predicted(values: Values, late: NDArray[np.int64]) -> list[float]:
 class _Stroke(NamedTuple):
     """A cycle, what it showed, and how the host disturbed it, in words; empty if it did not."""
 
-    record: StrokeRecord
+    run: BagEvaluation
     metrics: Metrics
     verdict: Verdict
     figures: dict[str, Any]
-    latency: NDArray[np.float64]
     disturbance: str
 
 
@@ -150,9 +149,9 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
     bag = work.folder / "bags" / "acceptance"
     work.machine.stroke(values, bag, work.travel)
     run = evaluate_bag(bag)
-    record, metrics = run.record, evaluate(run.record, straightness)
+    metrics = evaluate(run.record, straightness)
     # A real machine does not know the truth, so that a simulated one must not be judged by it.
-    known = dataclasses.replace(record, true_x=None, true_y=None, guide=None)
+    known = dataclasses.replace(run.record, true_x=None, true_y=None, guide=None)
     verdict = run.partial() or verdict_of(judged_motion(known, straightness, by_node(values), straightness, run.stalls))
     figures = {**metrics.to_display(), **verdict._asdict()}
     figures["straightness"] = [one.to_display() for one in statements(run)]
@@ -162,7 +161,7 @@ def _stroke(work: Work, values: Values, straightness: StraightnessMap) -> _Strok
         figures["timing"] = timing_budget(work.described(), run.latency, work.travel)
         checks = stroke_checks(figures, work.stage.encoder.y_resolution)
         disturbance = "; ".join(str(one) for one in checks if not one.passed)
-    return _Stroke(record, metrics, verdict, figures, run.latency, disturbance)
+    return _Stroke(run, metrics, verdict, figures, disturbance)
 
 
 def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any], str]:
@@ -229,7 +228,9 @@ def stroke_checks(accepted: Mapping[str, Any], count: float) -> Iterator[Check]:
     if "as_measured_costs_um" in timing:
         # A record that was read again has no infinity.
         cost = math.inf if timing["as_measured_costs_um"] is None else timing["as_measured_costs_um"]
-        yield limited("acceptance", "what its latencies cost [µm p-p]", cost, "<=", allowed_cost_um(timing, count))
+        # They may double the error, as the stalls of a run that is in order may, and no encoder sees less than a count.
+        allowed = max(float(timing["in_time_pp_um"]), count * 1e6)
+        yield limited("acceptance", "what its latencies cost [µm p-p]", cost, "<=", allowed)
 
 
 def stalled(count: int, period_ns: int, due_ns: int, stall_ms: float, starts: range) -> NDArray[np.int64]:
@@ -241,14 +242,6 @@ def stalled(count: int, period_ns: int, due_ns: int, stall_ms: float, starts: ra
         last = min(count, start + length)
         delays[start:last] = np.maximum(due_ns, np.arange(length, 0, -1)[: last - start] * period_ns)
     return delays
-
-
-def allowed_cost_um(timing: Mapping[str, Any], count: float) -> float:
-    """Largest error p-p in µm that late commands may add to a stroke of ``timing`` by an encoder of ``count`` in m.
-
-    They may double it, as the stalls of a run that is in order may, and no encoder sees less than a count.
-    """
-    return max(float(timing["in_time_pp_um"]), count * 1e6)
 
 
 def _late(latency: NDArray[np.float64], due_ns: int) -> NDArray[np.int64]:

@@ -124,20 +124,14 @@ def _conclusion(after: Mapping[str, Any] | None, lacks: str, require: float | No
     """Whether the tolerance ``require`` in µm is kept, and the first sentence of the certificate; ``lacks`` says why
     there is no straightness ``after`` compensation."""
     if after is None:
-        unknown = f"the straightness is not stated, since {lacks}"
-        return (
-            require is None,
-            f"Passed without a tolerance: {unknown}" if require is None else f"Not passed: {unknown}",
-        )
+        begin = "Passed without a tolerance" if require is None else "Not passed"
+        return require is None, f"{begin}: the straightness is not stated, since {lacks}"
     stated = f"straightness after compensation {with_uncertainty(after['value_um'], after['expanded_uncertainty_um'])}"
     if require is None:
         return True, f"Passed: every figure is within its limits; {stated}; no tolerance was required (--require)"
     spare = require - after["upper_um"]
-    words = f"required: at most {require:g} µm; {abs(spare):.2g} µm"
-    return (
-        spare >= 0.0,
-        f"Passed: {stated}, {words} to spare" if spare >= 0.0 else f"Not passed: {stated}, {words} too much",
-    )
+    begin, end = ("Passed", "to spare") if spare >= 0.0 else ("Not passed", "too much")
+    return spare >= 0.0, f"{begin}: {stated}, required: at most {require:g} µm; {abs(spare):.2g} µm {end}"
 
 
 def _files(work: Work) -> Iterator[tuple[str, Path]]:

@@ -128,7 +128,7 @@ def identification(work: Work) -> Outcome:
         },
     }
     by_record = facts = facts_found(found, stage)
-    gain, scale, mechanics, words = FoundPlant().gain, 1.0, FoundPlant(), ""
+    force, scale, mechanics, words = 1.0, 1.0, FoundPlant(), ""
     # The second look has the machine of the first one for its model, and sees more.
     for _ in range(2):
         values = with_values(work.values, "controller", gains)
@@ -139,9 +139,10 @@ def identification(work: Work) -> Outcome:
             break
         mechanics, words = seen, said
         # Relative to the facts that it was looked at with: those of the record until a look shows the force.
-        if _shown(mechanics.gain):
-            gain = Interval(*(gain.value * one for one in mechanics.gain))
-        facts, scale = scaled_by(gain, by_record, found, stage)
+        if mechanics.gain.high / mechanics.gain.value <= POOR:
+            gain = Interval(*(force * one for one in mechanics.gain))
+            force = gain.value
+            facts, scale = scaled_by(gain, by_record, found, stage)
     if strange := strangeness(found, work.description, scale):
         return Outcome(False, strange, figures)
     modes = modes_found(mechanics, stage)
@@ -266,11 +267,6 @@ def _undescribed(stage: StageParameters) -> list[str]:
     return [name for name in ("first", "second") if not getattr(stage.platform.modes, name).frequency]
 
 
-def _shown(gain: Interval) -> bool:
-    """Whether a response shows the force over the mass well enough to be taken from it."""
-    return gain.high / gain.value <= POOR
-
-
 def scaled_by(
     gain: Interval, facts: Mapping[str, Any], found: Estimate, stage: StageParameters
 ) -> tuple[dict[str, Any], float]:
@@ -279,8 +275,6 @@ def scaled_by(
     What rings or gives way in a record is inertia to a model without it: all forces come out too large or too small by
     one factor. The response has the mass's line beside the modes.
     """
-    if not _shown(gain):
-        return dict(facts), 1.0
     turns = facts.get("actuator.turns", stage.actuator.turns)
     gap = facts.get("actuator.air_gap", stage.actuator.air_gap)
     # A gap that the record hardly shows is not among the facts: the response has it in the force.

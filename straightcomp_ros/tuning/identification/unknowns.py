@@ -53,7 +53,8 @@ _DRY = NAMES[3:8]
 """Those of dry friction: held where the description has none. A record has none of it then, and would leave them open,
 and the mass with them."""
 _SMALLEST = {"friction.bristle_damping": 1.0, "friction.viscous": 0.1}
-"""Start of what is searched and may be zero, which has no logarithm."""
+"""Least start of what is searched and may be zero, or come out negative where there is hardly any: neither has a
+logarithm."""
 _REACH = math.log(100.0)
 BLOCK = 0.25
 """Length in s of the blocks that count as independent: quantisation errors are correlated over some 0.1 s."""
@@ -68,8 +69,6 @@ _LEAST, _SAMPLES = 0.25, 500
 """s of sliding, or samples if those are sooner."""
 _TWO_SIDED, _CERTAIN = 2.0, 5.0
 """Standard deviations of a 95 % interval, of some tens of blocks, and of what is beyond doubt."""
-_LEAST_VISCOUS = 0.1
-"""N·s/m; where there is hardly any, it may come out negative, which has no logarithm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +190,7 @@ def sliding_start(recording: Recording, unknowns: Unknowns) -> Array | None:
     if "friction.coulomb" in free:
         values["friction.coulomb"] = coulomb * values["platform.mass"]
     if "friction.viscous" in free:
-        values["friction.viscous"] = max(_LEAST_VISCOUS, viscous * values["platform.mass"])
+        values["friction.viscous"] = max(_SMALLEST["friction.viscous"], viscous * values["platform.mass"])
     vector = _logarithms(values[name] for name in NAMES)
     return np.asarray(np.clip(vector, unknowns.low, unknowns.high))
 

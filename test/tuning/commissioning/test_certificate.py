@@ -87,10 +87,11 @@ def test_a_figure_beyond_its_limit_is_named_and_nothing_is_written(tmp_path, ste
     [
         {"timing": {**TIMING, "latency_us": {**LATENCY, "p99": 960.0}, "p99_costs_um": 0.5}},
         {"timing": {**TIMING, "as_measured_costs_um": 0.2 * (1.0 + 1e-12)}},
+        {"timing": {**TIMING, "in_time_pp_um": 0.05, "as_measured_costs_um": 0.1}},
         {"timing": {name: one for name, one in TIMING.items() if not name.endswith("costs_um")}},
         {"lost_commands": 150},
     ],
-    ids=["a late p99 that costs nothing", "the last bits of a limit", "no latencies", "one command in 200"],
+    ids=["a late p99 that costs nothing", "the last bits of a limit", "a count", "no latencies", "one command in 200"],
 )
 def test_lateness_is_judged_by_what_it_costs(tmp_path, changed):
     outcome = certificate(done(tmp_path, acceptance=changed))

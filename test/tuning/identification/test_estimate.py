@@ -152,10 +152,25 @@ def assert_found(parameters, plant):
             assert found.value == pytest.approx(truth[name], rel=WITHIN[name]), name
 
 
+FIGURES = (
+    "samples samples_in_bag duration_s prediction_error_um prediction_error_ratio amplifier_bandwidth_Hz "
+    "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters advice untold"
+)
+OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_from"
+
+
 def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds(stiff_answer):
     answer, _ = stiff_answer
-    assert_found({name: SimpleNamespace(**found) for name, found in answer["parameters"].items()}, STIFF)
-    assert not any(found["poorly_determined"] for found in answer["parameters"].values())
+    parameters = answer["parameters"]
+    assert set(answer) == set(FIGURES.split()) and list(parameters) == list(UNITS)
+    assert all(set(found) == set(OF_A_PARAMETER.split()) for found in parameters.values())
+    assert_found({name: SimpleNamespace(**found) for name, found in parameters.items()}, STIFF)
+    assert not any(found["poorly_determined"] for found in parameters.values())
+    assert parameters["actuator.turns"]["known"]
+    assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)
+    assert answer["delay_us"] == pytest.approx(250.0, abs=5.0)
+    # An encoder of 0.1 µm that is predicted as well as it reads.
+    assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
 
 
 @pytest.mark.nightly
@@ -223,17 +238,32 @@ def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(f
     assert "platform.mass was given" in estimate.not_identifiable[0]
 
 
-def test_what_the_record_leaves_open_is_said_in_sentences():
+def exact(**others):
+    """An exact estimate, but for ``others`` of friction: low and high of 1.0, and what they are hardly told from."""
     parameters = {name: Estimated(name, 1.0, 0.99, 1.01, name == "platform.mass") for name in UNITS}
-    parameters["friction.viscous"] = Estimated("friction.viscous", 1.0, 0.5, 2.0, False, ("friction.static",))
-    parameters["friction.static"] = Estimated("friction.static", 1.0, 0.9, 1.1, False, ("friction.viscous",))
-    path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))
-    sentences = Estimate(parameters, None, path, None).not_identifiable
+    for name, (low, high, *alike) in others.items():
+        found = Estimated(f"friction.{name}", 1.0, low, high, False, tuple(f"friction.{one}" for one in alike))
+        parameters[found.name] = found
+    return Estimate(parameters, None, CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4)), None)
+
+
+def test_what_the_record_leaves_open_is_said_in_sentences():
+    sentences = exact(viscous=(0.5, 2.0, "static"), static=(0.9, 1.1, "viscous")).not_identifiable
     assert "platform.mass was given" in sentences[0] and "actuator.turns" not in sentences[0]
     assert "bandwidth" in sentences[1]
     assert sum("told apart" in sentence for sentence in sentences) == 1
     assert "friction.viscous is only known to lie between 0.5 and 2 N·s/m." in sentences
     assert len(sentences) == 4
+
+
+@pytest.mark.parametrize("coulomb", [(0.99, 1.01), (0.1, 10.0)])
+def test_what_is_poorly_determined_is_left_out_of_the_file_and_marked(coulomb):
+    lines = parameter_file(exact(viscous=(0.1, 10.0), static=(0.1, 10.0), coulomb=coulomb)).splitlines()
+    assert "    # stage.friction.viscous: 1.0" in lines
+    assert "    # 0.1 to 10 N·s/m, poorly determined" in lines
+    assert "    stage.friction.bristle_damping: 1.0" in lines
+    # F_S stays with F_C even so: its default may be below F_C, which is refused.
+    assert ("    stage.friction.static: 1.0" in lines) is (coulomb == (0.99, 1.01))
 
 
 SHIFT = 25e-6
@@ -285,27 +315,6 @@ def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(shift
         assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name
 
 
-FIGURES = (
-    "samples samples_in_bag duration_s prediction_error_um prediction_error_ratio amplifier_bandwidth_Hz "
-    "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters advice untold"
-)
-OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_from"
-
-
-def test_json_names_every_parameter_with_its_interval(stiff_answer):
-    answer, _ = stiff_answer
-    assert set(answer) == set(FIGURES.split())
-    assert list(answer["parameters"]) == list(UNITS)
-    for found in answer["parameters"].values():
-        assert set(found) == set(OF_A_PARAMETER.split())
-        assert found["low"] <= found["value"] <= found["high"]
-    assert answer["parameters"]["actuator.turns"]["known"]
-    assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)
-    assert answer["delay_us"] == pytest.approx(250.0, abs=5.0)
-    # An encoder of 0.1 µm that is predicted as well as it reads.
-    assert answer["prediction_error_um"] == pytest.approx(0.1 / 12**0.5, rel=0.2)
-
-
 def test_the_file_describes_the_plant_to_all_nodes_and_simulate_takes_it(stiff_answer, verb):
     answer, file = stiff_answer
     values = read_parameter_file(file)
@@ -327,20 +336,6 @@ def test_the_truth_is_never_read(stiff_bag, monkeypatch):
     monkeypatch.setattr(recording, "read_streams", lambda bag, layouts: asked.extend(layouts) or read(bag, layouts))
     recording.read_recording(stiff_bag)
     assert asked == [ENCODER.topic, COMMAND.topic]
-
-
-@pytest.mark.parametrize("coulomb_is_poor", [False, True])
-def test_what_is_poorly_determined_is_left_out_and_marked(coulomb_is_poor):
-    parameters = {name: Estimated(name, 1.0, 0.99, 1.01, False) for name in UNITS}
-    poor = {"platform.mass", "friction.static"} | ({"friction.coulomb"} if coulomb_is_poor else set())
-    for name in poor:
-        parameters[name] = Estimated(name, 1.0, 0.1, 10.0, False)
-    lines = parameter_file(Estimate(parameters, None, None, None)).splitlines()
-    assert "    # stage.platform.mass: 1.0" in lines
-    assert "    # 0.1 to 10 kg, poorly determined" in lines
-    assert "    stage.friction.viscous: 1.0" in lines
-    # F_S stays with F_C even so: its default may be below F_C, which is refused.
-    assert ("    stage.friction.static: 1.0" in lines) is not coulomb_is_poor
 
 
 @pytest.mark.parametrize(
@@ -395,42 +390,22 @@ def test_an_excitation_stays_within_the_platforms_travel_where_it_runs_out_too_a
         assert whole or made.largest == pytest.approx(0.9 * travel)
 
 
-@pytest.mark.parametrize("chosen", [(), ("--params-file",), ("--stage",), ("--params-file", "--stage")])
-def test_an_estimate_goes_into_the_users_stage_file_or_beside_the_parameter_file(tmp_path, verb, monkeypatch, chosen):
-    found = SimpleNamespace(parameters={"platform.mass": None, "friction.coulomb": None})
-    monkeypatch.setattr(friction, "estimate_from_bag", lambda *_: found)
-    monkeypatch.setattr(friction, "parameter_file", lambda estimate: "# estimated\n")
-    monkeypatch.setattr(friction, "_print", lambda estimate: None)
-    monkeypatch.setattr(friction, "read_attachments", lambda bag: {})
-    files = {"--params-file": "config/straightcomp.yaml", "--stage": "config/stage_synthetic.yaml"}
-    named = {option: str(share_path(files[option])) for option in chosen}
-    plant = tmp_path / "plant.yaml"
-    settings = ["--set", "stage.platform.mass=3.5", "--set", "stage.motion.stroke=0.3"]
-    words = [word for pair in named.items() for word in pair]
-    code, _, said = verb("friction", "BAG", "-o", plant, *words, *settings)
-    said, stage = " ".join(said.split()), named.get("--stage")
-    assert code == 0 and (f"put its values into {stage}, in the place of those there; then " in said) == bool(stage)
-    params = f"--params-file {named['--params-file']} " if "--params-file" in named else ""
-    assert said.endswith(f"straightcomp simulate {params}--stage {stage or plant} --set stage.motion.stroke=0.3")
+PARAMS, OWN = (str(share_path(f"config/{name}")) for name in ("straightcomp.yaml", "stage_synthetic.yaml"))
 
 
 @pytest.mark.parametrize(
-    ("options", "attached", "mass", "name"),
+    ("options", "attached", "mass", "stage"),
     [
         ((), True, STIFF["platform.mass"], "FILE"),
         (("--set", "stage.platform.mass=3.6"), True, 3.6, "FILE"),
-        (
-            ("--stage", share_path("config/stage_synthetic.yaml")),
-            True,
-            3.0,
-            str(share_path("config/stage_synthetic.yaml")),
-        ),
-        (("--params-file", share_path("config/straightcomp.yaml")), True, 3.0, "plant.yaml"),
+        (("--stage", OWN), True, 3.0, OWN),
+        (("--params-file", PARAMS), True, 3.0, "plant.yaml"),
+        (("--params-file", PARAMS, "--stage", OWN, "--set", "stage.platform.mass=3.5"), True, 3.5, OWN),
         ((), False, 3.0, "plant.yaml"),
     ],
 )
-def test_an_estimate_starts_from_the_stage_of_the_recorded_run_unless_another_is_named(
-    stiff_bag, tmp_path, verb, monkeypatch, options, attached, mass, name
+def test_an_estimate_starts_from_the_stage_of_the_recorded_run_unless_another_is_named_and_goes_into_its_file(
+    stiff_bag, tmp_path, verb, monkeypatch, options, attached, mass, stage
 ):
     starts, found = [], SimpleNamespace(parameters={"platform.mass": None})
     monkeypatch.setattr(friction, "estimate_from_bag", lambda bag, start, *_: starts.append(start) or found)
@@ -444,13 +419,16 @@ def test_an_estimate_starts_from_the_stage_of_the_recorded_run_unless_another_is
         of_a_board = {"driver": {**driver, "hardware": "can", "can.dbc": "nowhere.dbc"}}
         monkeypatch.setattr(friction, "recorded_parameters", lambda *_: of_a_board)
     monkeypatch.chdir(tmp_path)
-    ended = verb("friction", stiff_bag, "-o", "plant.yaml", *options)
+    ended = verb("friction", stiff_bag, "-o", "plant.yaml", *options, "--set", "stage.motion.stroke=0.3")
     assert ended.code == 0 and [start.platform.mass for start in starts] == [mass]
     # Which stage it is is said where neither the user nor the bag says it.
     assert ("config/stage_synthetic.yaml is assumed" in ended.err) == (not attached)
+    # Without the rest of the stage the estimate is no stage file, and what is set there is not what was found.
+    assert ("put its values into " in ended.err) == (stage != "plant.yaml")
+    assert stage != OWN or f"put its values into {OWN}, in the place of those there; then" in ended.err
+    named = ["--params-file", PARAMS] if PARAMS in options else []
     (then,) = re.findall(r"straightcomp (simulate .*)", ended.err)
-    words = shlex.split(then)
-    assert words[words.index("--stage") + 1] == name
+    assert shlex.split(then)[1:] == [*named, "--stage", stage, "--set", "stage.motion.stroke=0.3"]
 
 
 def test_a_bag_whose_recorded_stage_is_refused_is_named(stiff_bag, verb):
