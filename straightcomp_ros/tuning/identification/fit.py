@@ -24,7 +24,7 @@ wrong.
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -266,20 +266,9 @@ def fit(
     Raises:
         IdentificationError: the prediction loses the path under every assumption.
     """
-    search = Search(recording, path, unknowns, resolution)
-    assumed = levels(resolution, recording.period_ns * 1e-9)
-    begins = [unknowns.start]
-    if (slid := sliding_start(recording, unknowns)) is not None:
-        begins.append(slid)
-    for most in (MISSED[0], _MORE[0]):
-        solutions = sorted((search.solve(begin, most) for begin in begins), key=lambda level: level.surprise)
-        if solutions[0].rms <= _LOST:
-            break
-    last, neighbours = _followed(search, solutions[0], assumed, unknowns.start, progress)
-    if last.missed > assumed[-1] and len(solutions) > 1:
-        other, neighbours_there = _followed(search, solutions[1], assumed, unknowns.start, progress)
-        if other.missed < last.missed:
-            last, neighbours = other, neighbours_there
+    search, slid = Search(recording, path, unknowns, resolution), sliding_start(recording, unknowns)
+    begins = [unknowns.start] if slid is None else [unknowns.start, slid]
+    last, neighbours = solved(search.solve, begins, levels(resolution, recording.period_ns * 1e-9), progress)
     progress(1.0)
     if last.rms > _LOST:
         raise IdentificationError(
@@ -300,21 +289,42 @@ def fit(
     )
 
 
-def _followed(
-    search: Search, first: Level, assumed: list[float], described: Array, progress: Callable[[float], None]
+def solved(
+    solve: Callable[[Array, float], Level],
+    begins: Sequence[Array],
+    assumed: Sequence[float],
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> tuple[Level, list[Array]]:
-    """The solution with the least process noise that holds, from ``first`` on; and its neighbours: the solution that
-    its search began with, and the next one if that hardly failed; the description where neither is known."""
+    """The solution with the least process noise that holds, and its neighbours: the solution that its search began
+    with, and the next one if that hardly failed; the description where neither is known.
+
+    ``solve`` finds one from a vector under an assumption; ``begins`` are the description and perhaps another vector,
+    ``assumed`` the assumptions, largest first.
+    """
+    for most in (MISSED[0], _MORE[0]):
+        solutions = sorted((solve(begin, most) for begin in begins), key=lambda level: level.surprise)
+        if solutions[0].rms <= _LOST:
+            break
+    found = _followed(solve, solutions[0], assumed, progress)
+    if found[0].missed > assumed[-1] and len(solutions) > 1:
+        found = min(found, _followed(solve, solutions[1], assumed, progress), key=lambda one: one[0].missed)
+    return found[0], found[1] or [begins[0]]
+
+
+def _followed(
+    solve: Callable[[Array, float], Level], first: Level, assumed: Sequence[float], progress: Callable[[float], None]
+) -> tuple[Level, list[Array]]:
+    """What :func:`solved` returns, from the solution ``first`` on, without the description."""
     last, begin = first, first.vector
     before, after = list[Array](), list[Array]()
     less = [missed for missed in assumed if missed < first.missed]
     for number, missed in enumerate(less, 1):
         progress(number / (len(less) + 1))
-        level = search.solve(begin, missed)
+        level = solve(begin, missed)
         if level.rms <= max(EXPLAINED, last.rms):
             last, before, after = level, [begin], []
         elif not after and level.rms < _LOST:
             after = [level.vector]
         # One that hardly failed may be nearer to the next one than the last that held.
         begin = level.vector if level.rms < _LOST else last.vector
-    return last, [*before, *after] or [described]
+    return last, [*before, *after]

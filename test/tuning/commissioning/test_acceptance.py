@@ -114,8 +114,7 @@ def test_a_check_of_the_guide_finds_the_wrong_survey(tmp_path, accepted, agrees)
 
 
 def test_the_stroke_is_better_after_learning_and_the_correction_is_a_gain_of_the_step(tmp_path, judged_at_once):
-    values = values_of(motion__stroke=0.1)
-    values["controller"]["control.law"] = "linear"
+    values = with_values(VALUES, "controller", {"control.law": "linear"})
     work = dataclasses.replace(work_on(values, tmp_path / "learned"), learning_strokes=6)
     learned = acceptance(work)
     assert learned.passed and "after 6 strokes of learning" in learned.sentence

@@ -9,7 +9,7 @@ import pytest
 from roughly_known import values_of, work_on
 
 from straightcomp_ros.analysis import IdentificationError
-from straightcomp_ros.analysis.current_path import SHORTEST, read_recording
+from straightcomp_ros.analysis.current_path import SHORTEST, CurrentPath, read_recording
 from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters
 from straightcomp_ros.model.motion import forward_and_back
 from straightcomp_ros.offline.starts import with_values
@@ -41,6 +41,11 @@ STAGE = StageParameters(uncertainty=UncertaintyParameters(mass=0.2, force=0.2, a
 USUAL = MultisineParameters().motion
 NOTCH = "control.filters.first.frequency"
 ONE = Interval(1.0, 0.99, 1.01)
+
+
+@pytest.fixture(autouse=True)
+def without_plots(monkeypatch):
+    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
 
 
 @pytest.fixture
@@ -75,7 +80,8 @@ def estimate(poor="", width=2.0, **factors):
         value = described[name] * factors.get(name.partition(".")[2], 1.0)
         low, high = (1.0 / width, width) if name == poor else (0.99, 1.01)
         found[name] = Estimated(name, value, low * value, high * value, name == "platform.mass" or not value)
-    return Estimate(found, None, SimpleNamespace(rate_found=False), None)
+    path = CurrentPath(1.0, None, None, None, 1e-4, False, 0.0, (1e-4, 1e-4))
+    return Estimate(found, None, path, SimpleNamespace(rms_error_m=1e-8))
 
 
 @pytest.mark.parametrize(
@@ -132,9 +138,7 @@ def test_what_was_described_better_than_it_is_found_stays_as_it_was_and_as_uncer
     assert {name: facts[name] / before[name] for name in taken} == pytest.approx(taken) and not kept & facts.keys()
 
 
-def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_measured_ends_nothing(
-    tmp_path, monkeypatch
-):
+def test_a_mode_that_nobody_described_is_described_as_found(tmp_path, monkeypatch):
     known = found_mode(350.0)._replace(described="stage.platform.modes.first")
     found = found_mode(180.0)._replace(residue=Interval(-1.0, -1.1, -0.9))
     work = work_on(values_of(platform__modes__first__frequency=350.0), tmp_path)
@@ -144,15 +148,8 @@ def test_a_mode_that_nobody_described_is_described_as_found_and_what_cannot_be_m
     facts = modes_found(mechanics, work.stage)
     assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
     assert not any("first" in name for name in facts) and "180.0 Hz" in words and "350.0 Hz" in words
-    values_of_both = {**work.values, "stage": {**work.values["stage"], **facts}}
+    values_of_both = with_values(work.values, "stage", facts)
     assert node_parameters("controller", values_of_both).stage.platform.modes.second.residue == -1.0
-
-    def fails(work, **excited):
-        raise ExcitationEnded("the excitation was ended early: too far")
-
-    monkeypatch.setattr(closed_loop, "_measured", fails)
-    mechanics, words, _ = closed_loop._looked_at(work, {})
-    assert mechanics == FoundPlant() and "resonances were not looked for: the excitation was ended early" in words
 
 
 def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_record_alike():
@@ -180,7 +177,6 @@ def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_reco
 
 
 def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_more(work, monkeypatch):
-    found = dataclasses.replace(estimate(turns=1.2), fit=SimpleNamespace(rms_error_m=1e-8))
     mode, seen = found_mode(180.0), []
 
     def looked(before, facts):
@@ -192,11 +188,8 @@ def test_the_machine_of_the_first_look_is_the_model_of_the_second_which_may_see_
         return FoundPlant(gain, (mode,) if len(seen) > 1 else ()), "", {}
 
     monkeypatch.setattr(closed_loop, "_excited", lambda *_: {})
-    monkeypatch.setattr(closed_loop, "estimate_from_bag", lambda *_: found)
+    monkeypatch.setattr(closed_loop, "estimate_from_bag", lambda *_: estimate(turns=1.2))
     monkeypatch.setattr(closed_loop, "_looked_at", looked)
-    monkeypatch.setattr(Estimate, "to_display", lambda self: {})
-    monkeypatch.setattr(Estimate, "not_identifiable", [])
-    monkeypatch.setattr(found.path, "rate", 1.0, raising=False)
     outcome = identification(work)
     assert outcome.passed and outcome.stage["platform.modes.first.frequency"] == 180.0
     turns = STAGE.actuator.turns
@@ -264,16 +257,25 @@ def test_a_platform_that_swings_out_of_its_travel_is_tried_once_more_under_a_saf
     assert strokes[0] == 0.0 and strokes[1:] == ([pytest.approx(rings, rel=0.02)] if rings and lawful else [])
 
 
-@pytest.mark.parametrize("leaves", [True, False])
-def test_a_platform_that_swings_while_modes_are_looked_for_is_looked_at_under_a_safe_law_for_one(
-    work, monkeypatch, leaves
+@pytest.mark.parametrize(
+    ("leaves", "again", "seen"),
+    [
+        (None, False, True),
+        (swinging(20.0, 72.0), False, True),
+        (swinging(20.0, 72.0), True, False),
+        # It does not swing.
+        (np.zeros(400), False, False),
+    ],
+)
+def test_a_platform_that_swings_while_modes_are_looked_for_is_looked_at_under_a_safe_law_for_one_and_none_ends_nothing(
+    work, monkeypatch, leaves, again, seen
 ):
-    mode, again = found_mode(72.3), True
+    mode = found_mode(72.3)
 
     def measured(work, **excited):
         safe = work.values["controller"].get(NOTCH)
-        if leaves and (again or not safe):
-            raise ExcitationEnded("too far", swinging(20.0, 72.0))
+        if leaves is not None and (again or not safe):
+            raise ExcitationEnded("too far", leaves)
         return looked_at(0.0, modes=(mode,)) if safe else looked_at(72.0)
 
     def safe_law(scenario):
@@ -281,12 +283,9 @@ def test_a_platform_that_swings_while_modes_are_looked_for_is_looked_at_under_a_
 
     monkeypatch.setattr(closed_loop, "_measured", measured)
     monkeypatch.setattr(closed_loop, "safe_law", safe_law)
-    if leaves:
-        mechanics, words, gains = closed_loop._looked_at(work, {})
-        assert mechanics == FoundPlant() and "not looked for: too far" in words and not gains
-    again = False
     mechanics, words, gains = closed_loop._looked_at(work, {})
-    assert mechanics.modes == (mode,) and gains == {NOTCH: pytest.approx(72.0, rel=0.02)}
+    assert mechanics == FoundPlant(modes=(mode,) * seen) and ("not looked for: too far" in words) is not seen
+    assert gains == ({NOTCH: pytest.approx(72.0, rel=0.02)} if seen else {})
 
 
 def test_a_platform_that_swings_under_a_wrong_force_over_mass_is_looked_at_under_the_description_before(
@@ -320,7 +319,6 @@ def test_a_plant_that_only_its_friction_explains_passes_if_the_friction_is_as_op
 
     shown = dataclasses.replace(measured, measured=dataclasses.replace(measured.measured, response=turned))
     monkeypatch.setattr(closed_loop, "measure_simulated", simulated)
-    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
     machine = SimpleNamespace(response=lambda values, excitation: shown)
     work = dataclasses.replace(work_on(values_of(uncertainty__friction=known), tmp_path), machine=machine)
     assert frequency_response(work).passed == passes
@@ -382,7 +380,6 @@ def response(measured, monkeypatch, work):
     It leaves the travel where more than ``bears`` of it is aimed at.
     """
     monkeypatch.setattr(closed_loop, "measure_simulated", lambda values, excitation: measured)
-    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
 
     def run(bears=1.0, measured=measured):
         motions = [0.0]
@@ -430,7 +427,6 @@ def test_a_mode_that_shows_under_the_designed_law_is_designed_for_and_measured_a
 
     monkeypatch.setattr(closed_loop, "_measured", responds)
     monkeypatch.setattr(closed_loop, "design", designed)
-    monkeypatch.setattr(response_plot, "plot_response", lambda *_: None)
     work = dataclasses.replace(work, outcomes={"design": closed_loop.Outcome(True, "", gains={notch: 300.0})})
     outcome = frequency_response(work)
     assert outcome.passed and seen == [0.0, 560.0] and "560.0 Hz" in outcome.sentence

@@ -115,9 +115,9 @@ def done_before(folder, outcomes):
 )
 def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stroke, few, folder, commission, verb):
     truth = {"mass": 0.8, "force": 1.2, "air_gap": 0.75, "friction": 0.5, "amplifier": 1.5}
-    settings = [f"driver.simulated.truth.{name}={value}" for name, value in truth.items()]
-    settings += ["driver.stage.drive.delay=1.3", f"stage.motion.stroke={stroke}"]
-    words = [*(word for one in settings for word in ("--set", one)), *few, "--json"]
+    settings = {f"{TRUTH}{name}": value for name, value in truth.items()}
+    settings |= {"driver.stage.drive.delay": 1.3, "stage.motion.stroke": stroke}
+    words = [*(f"--set={name}={value}" for name, value in settings.items()), *few, "--json"]
     ended = commission(*words)
     found = ended.json
     assert ended.code == 0 and found["remaining"] == [] and list(found["steps"]) == list(STEPS)
@@ -157,7 +157,7 @@ def commissioned(monkeypatch, folder, commission):
             return built[-1]
 
         monkeypatch.setattr(machines, "SimulatedMachine", lambda values: machine(values, kept))
-        words = [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
+        words = (f"--set={name}={value}" for name, value in settings.items())
         ended = commission(*words, "--evaluations", 40, "--machines", 20, "--json")
         failed, remaining, steps = (ended.json[name] for name in ("failed", "remaining", "steps"))
         assert ended.code == 1

@@ -437,33 +437,10 @@ def test_a_bag_whose_recorded_stage_is_refused_is_named(stiff_bag, verb):
 
 
 DESCRIBED, SLID = 0.0, 1.0
-SAMPLES = 4000
-
-
-class ScriptedSearch:
-    """Solutions stay where they began, with the surprise and errors that a test says."""
-
-    def __init__(self, recording, path, unknowns, resolution):
-        self.gains = np.ones((fitting.BURN_IN + SAMPLES, 4))
-
-    def solve(self, start, missed):
-        place = float(start[0])
-        errors = 0.7 if missed not in self.fails.get(place, ()) else 1.9
-        return fitting.Level(start, np.ones((SAMPLES, 1)), np.full(SAMPLES, errors), missed, self.surprises[place])
-
-    def take_gains(self, vector, missed):
-        pass
-
-    def onward(self, level):
-        return level.vector
-
-    def residuals(self, vector):
-        return np.full(SAMPLES, 0.7)
 
 
 NONE, THIRD, LAST = fitting.MISSED[1:], fitting.MISSED[2:3], fitting.MISSED[3:]
 """Assumptions that fail."""
-LIKELIER = {DESCRIBED: {DESCRIBED: -2.0, SLID: -1.0}, SLID: {DESCRIBED: -1.0, SLID: -2.0}}
 
 
 @pytest.mark.parametrize(
@@ -480,15 +457,14 @@ LIKELIER = {DESCRIBED: {DESCRIBED: -2.0, SLID: -1.0}, SLID: {DESCRIBED: -1.0, SL
         ({DESCRIBED: fitting.MISSED, SLID: fitting.MISSED}, DESCRIBED, DESCRIBED, 0),
     ],
 )
-def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(
-    monkeypatch, fails, likelier, found, levels
-):
-    monkeypatch.setattr(ScriptedSearch, "fails", fails, raising=False)
-    monkeypatch.setattr(ScriptedSearch, "surprises", LIKELIER[likelier], raising=False)
-    monkeypatch.setattr(fitting, "Search", ScriptedSearch)
-    monkeypatch.setattr(fitting, "sliding_start", lambda recording, unknowns: np.array([SLID]))
-    recording, unknowns = SimpleNamespace(period_ns=500_000), SimpleNamespace(start=np.array([DESCRIBED]), free=[0])
-    solution = fitting.fit(recording, None, unknowns, 1e-7).solution
+def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(fails, likelier, found, levels):
+    def solve(start, missed):
+        """A solution that stays where it began."""
+        place = float(start[0])
+        errors = np.array([1.9 if missed in fails.get(place, ()) else 0.7])
+        return fitting.Level(start, None, errors, missed, -2.0 if place == likelier else -1.0)
+
+    solution, _ = fitting.solved(solve, np.array([[DESCRIBED], [SLID]]), fitting.levels(1e-7, 5e-4))
     assert solution.vector == [found] and solution.missed == (fitting.MISSED[levels - 1] if levels else 3e-5)
 
 
