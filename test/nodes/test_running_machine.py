@@ -27,7 +27,7 @@ from straightcomp_ros.tuning.commissioning import machine as commissioning_machi
 from straightcomp_ros.tuning.graph import running_machine
 from straightcomp_ros.tuning.graph.running_machine import Access, FirstParameters, RunningMachine
 
-SHIPPED = shipped_parameters()
+SHIPPED = with_values(shipped_parameters(), "driver", {"watch.travel": 0.1})
 LOGGER = {"output": "", "record_at_start": False, "compression": "zstd"}
 OFF, ON = SafetyState(), SafetyState(State.ON)
 STRAYED = SafetyState(State.FAULT, "following_error: 0.7 mm", Fault.FOLLOWING_ERROR.code)
@@ -119,7 +119,7 @@ def test_after_an_interrupt_no_further_stroke_begins_and_the_travel_that_a_kille
         machine(client, tmp_path).stroke(SHIPPED, tmp_path / "bag", 3e-4, count=100)
     (points,) = client.moves
     assert list(points) == forward_and_back(MotionParameters()) and off_at_the_end(client)
-    assert client.given["driver"]["watch.travel"] == SHIPPED["driver"].get("watch.travel", 0.0)
+    assert client.given["driver"]["watch.travel"] == 0.1
 
 
 def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(tmp_path):
@@ -219,20 +219,21 @@ LEFT = {"driver": {"watch.travel": 3e-6, "hardware": "simulated"}, "logger": {"o
 PROCESSES = {"driver": "01", "logger": "02"}
 
 
-def test_the_next_client_finds_what_a_killed_one_found_but_for_nodes_started_anew_or_released(tmp_path):
-    first = FirstParameters(FOUND, PROCESSES, tmp_path)
+def test_the_next_client_finds_what_a_killed_one_found_but_for_nodes_started_anew_or_released(tmp_path, monkeypatch):
+    monkeypatch.setattr(running_machine, "private_folder", lambda: tmp_path)
+    first = FirstParameters(FOUND, PROCESSES)
     first.keep()
-    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == FOUND
-    anew = FirstParameters({**LEFT, "driver": {"watch.travel": 0.2}}, {**PROCESSES, "driver": "03"}, tmp_path)
+    assert FirstParameters(LEFT, PROCESSES).values == FOUND
+    anew = FirstParameters({**LEFT, "driver": {"watch.travel": 0.2}}, {**PROCESSES, "driver": "03"})
     assert anew.values == {"driver": {"watch.travel": 0.2}, "logger": FOUND["logger"]}
     # A file of nonsense counts for nothing.
     for file in tmp_path.iterdir():
         file.write_text(json.dumps(FOUND)[:20])
-    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
+    assert FirstParameters(LEFT, PROCESSES).values == LEFT
     first.keep()
     first.forget()
     assert not list(tmp_path.iterdir())
-    assert FirstParameters(LEFT, PROCESSES, tmp_path).values == LEFT
+    assert FirstParameters(LEFT, PROCESSES).values == LEFT
 
 
 def failed():

@@ -198,32 +198,31 @@ def _checked(work: Work, straightness: StraightnessMap) -> tuple[dict[str, Any],
 
 
 class Check(NamedTuple):
-    """A figure of a step, None where an older record lacks it, with what is allowed, and whether it is."""
+    """A figure of a step with what is allowed, and whether it is."""
 
     step: str
     name: str
-    value: float | None
+    value: float
     allowed: str
     passed: bool
 
     def __str__(self) -> str:
-        shown = "unknown" if self.value is None else f"{self.value:.4g}"
-        value = "infinite, since the platform is lost" if shown == "inf" else shown
+        value = "infinite, since the platform is lost" if math.isinf(self.value) else f"{self.value:.4g}"
         return f"{self.name} {value} (allowed: {self.allowed})"
 
 
-def limited(step: str, name: str, value: float | None, relation: str, limit: float) -> Check:
+def limited(step: str, name: str, value: float, relation: str, limit: float) -> Check:
     """A figure that must be ``>=`` or ``<=`` its limit, by its ``relation``."""
-    above = value is not None and (value > limit) is (relation == ">=")
-    passed = value is not None and (above or math.isclose(value, limit, rel_tol=_LAST_BITS))
+    within = value >= limit if relation == ">=" else value <= limit
+    passed = within or math.isclose(value, limit, rel_tol=_LAST_BITS)
     return Check(step, name, value, f"{relation} {limit:.4g}", passed)
 
 
 def stroke_checks(accepted: Mapping[str, Any], count: float) -> Iterator[Check]:
     """Whether the host disturbed the stroke of `acceptance`, from its figures; ``count`` of the encoder in m."""
-    yield limited("acceptance", "lost samples of the stroke", accepted.get("lost_samples"), "<=", 0.0)
+    yield limited("acceptance", "lost samples of the stroke", accepted["lost_samples"], "<=", 0.0)
     few = float(math.ceil(_FEW * accepted["samples"]))
-    yield limited("acceptance", "samples of the stroke without a command", accepted.get("lost_commands"), "<=", few)
+    yield limited("acceptance", "samples of the stroke without a command", accepted["lost_commands"], "<=", few)
     timing = accepted["timing"]
     if "as_measured_costs_um" in timing:
         # A record that was read again has no infinity.

@@ -131,8 +131,7 @@ def identification(work: Work) -> Outcome:
     force, scale, mechanics, words = 1.0, 1.0, FoundPlant(), ""
     # The second look has the machine of the first one for its model, and sees more.
     for _ in range(2):
-        values = with_values(work.values, "controller", gains)
-        seen, said, other = _looked_at(dataclasses.replace(work, values=values), facts)
+        seen, said, other = _looked_at(work.given("controller", gains), facts)
         gains |= other
         if seen == FoundPlant():
             words = words or said
@@ -223,7 +222,7 @@ def _swinging(y: Array, stage: StageParameters) -> float:
 def _looked_at(before: Work, facts: Mapping[str, Any]) -> tuple[FoundPlant, str, dict[str, Any]]:
     """Gain relative to a description with ``facts`` and modes of the machine by its response, its modes in words, and
     the gains of another safe law if it took one; nothing where it cannot be measured."""
-    work = dataclasses.replace(before, values=with_values(before.values, "stage", facts))
+    work = before.given("stage", facts)
     gains, scale = dict[str, Any](), 1.0
     try:
         found, left, swing = _response_or_swing(work)
@@ -233,7 +232,7 @@ def _looked_at(before: Work, facts: Mapping[str, Any]) -> tuple[FoundPlant, str,
             scale = before.stage.actuator.current_stiffness / work.stage.actuator.current_stiffness
         if found is None:
             gains, _ = _leaving_alone(work, swing, left)
-            work = dataclasses.replace(work, values=with_values(work.values, "controller", gains))
+            work = work.given("controller", gains)
             (found, left, _), scale = _response_or_swing(work), 1.0
         if found is None:
             raise left
@@ -422,11 +421,11 @@ def frequency_response(work: Work) -> Outcome:
         found = _measured(work)
         if modes := modes_found(found.mechanics, work.stage):
             words = "; ".join(mode.text for mode in found.mechanics.modes if not mode.described)
-            work = dataclasses.replace(work, values=with_values(work.values, "stage", modes))
+            work = work.given("stage", modes)
             designed = design(work)
             if not designed.passed:
                 return Outcome(False, f"{words}; {designed.sentence}")
-            work = dataclasses.replace(work, values=with_values(work.values, "controller", designed.gains))
+            work = work.given("controller", designed.gains)
             found = _measured(work)
             words = f"; {words}, designed for: {designed.sentence}"
     except FrequencyResponseError as error:

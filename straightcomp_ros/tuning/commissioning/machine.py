@@ -9,7 +9,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -31,6 +31,7 @@ from straightcomp_ros.control.law import Command
 from straightcomp_ros.hardware.interface import Hardware, Sample, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.offline.simulation import Simulation
+from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters, Values, by_node, node_parameters
 from straightcomp_ros.stage.description import StageParameters
@@ -279,6 +280,10 @@ class Work:
     def travel(self) -> float:
         """How far the platform may be from its reference under any law, m."""
         return bearable_travel(self.stage)
+
+    def given(self, node: str, changes: Mapping[str, Any]) -> "Work":
+        """The same with ``changes`` of parameters of ``node``, by dotted name."""
+        return replace(self, values=with_values(self.values, node, changes))
 
     def described(self) -> dict[str, Mapping[str, Any]]:
         """The parameters of a simulated machine that is as the stage is known so far, without a truth of its own."""

@@ -23,8 +23,6 @@ from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.tuning.commissioning.machine import Array, Outcome, Series, Work
 
-PERCENTILES = (50.0, 99.0, 99.9, 100.0)
-"""Of latencies."""
 _LISTEN = 30.0
 """s."""
 _FIRST_US, _STEP, _STEPS = 10.0, 1.25, 42
@@ -173,7 +171,7 @@ def _lost_commands(series: Series) -> int:
 def latency_percentiles(latency: Array) -> dict[str, float]:
     """Percentiles of the times (n,) in s from a sample until its command arrived, µs; none without commands."""
     known = latency[np.isfinite(latency)]
-    return {f"p{p:g}": float(np.percentile(known, p)) * 1e6 for p in PERCENTILES} if known.size else {}
+    return {f"p{p:g}": float(np.percentile(known, p)) * 1e6 for p in (50.0, 99.0, 99.9, 100.0)} if known.size else {}
 
 
 def _histogram(series: Series) -> list[list[float]]:

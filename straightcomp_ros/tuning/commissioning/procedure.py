@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.node_parameters import Values, node_parameters
 from straightcomp_ros.parameters.output_files import json_text, plain, write_whole
 from straightcomp_ros.parameters.parameter_file import file_digests
@@ -54,9 +53,8 @@ class Procedure:
     """
 
     def __init__(self, machine: Machine, values: Values, folder: Path, **choices: Any) -> None:
-        self._values, self._folder = values, folder
         self._work = Work(machine, values, node_parameters("controller", values).stage, folder, **choices)
-        self._files = file_digests(values)
+        self._record, self._files = folder / RECORD, file_digests(values)
         # By the contents of its files: a folder may be moved.
         described = {
             node: {
@@ -79,7 +77,7 @@ class Procedure:
         later = _after(step)
         if (first := self.remaining()[:1]) and first[0] not in (step, *later):
             raise CommissionRefused(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
-        self._refuse_changed(self._files, file_digests(self._values))
+        self._refuse_changed(self._files, file_digests(self._work.values))
         former = self.outcomes.get(step)
         # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
         self._forget(step, "certificate")
@@ -102,7 +100,7 @@ class Procedure:
         self._write()
         for step in steps:
             for name in STEP_FILES.get(step, ()):
-                (self._folder / name).unlink(missing_ok=True)
+                (self._work.folder / name).unlink(missing_ok=True)
 
     def remaining(self) -> list[str]:
         """Names of the steps from the first on that has not passed, in their order.
@@ -123,22 +121,22 @@ class Procedure:
 
         No step learns but the acceptance, on request: what is learned holds for one law, and each step has another.
         """
-        values = with_values(self._values, "controller", {"learning.learn": False})
+        work = replace(self._work, outcomes=dict(self.outcomes), progress=progress)
+        work = work.given("controller", {"learning.learn": False})
         for name in itertools.takewhile(lambda name: name != step, STEPS):
-            if name in self.outcomes:
-                values.setdefault("stage", {}).update(self.outcomes[name].stage)
-                values.setdefault("controller", {}).update(self.outcomes[name].gains)
-        return replace(self._work, values=values, outcomes=dict(self.outcomes), progress=progress)
+            if found := self.outcomes.get(name):
+                work = work.given("stage", found.stage).given("controller", found.gains)
+        return work
+
+    def _refused(self, why: str) -> CommissionRefused:
+        return CommissionRefused(f"record {self._record}: {why}; name another folder, or remove it")
 
     def _refuse_changed(self, former: Mapping[str, str], now: Mapping[str, str]) -> None:
         """Raise CommissionRefused if a file of the description has another content than when the record was begun."""
         differ = {name for name, _ in _by_name(former).items() ^ _by_name(now).items()}
         if differ:
             changed = sorted(name for name in now if Path(name).name in differ) or sorted(differ)
-            raise CommissionRefused(
-                f"record {self._folder / RECORD}: {', '.join(changed)} was changed since: the description is another "
-                "one; name another folder, or remove the record"
-            )
+            raise self._refused(f"{', '.join(changed)} was changed since: the description is another one")
 
     def _write(self) -> None:
         record: dict[str, Any] = {
@@ -147,32 +145,22 @@ class Procedure:
             "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
-        write_whole(self._folder / RECORD, json_text(record))
+        write_whole(self._record, json_text(record))
 
     def _read(self) -> dict[str, Outcome]:
-        path = self._folder / RECORD
-        if not path.exists():
+        if not self._record.exists():
             return {}
         try:
-            record = json.loads(path.read_text(encoding="utf-8"))
+            record = json.loads(self._record.read_text(encoding="utf-8"))
             outcomes = {name: Outcome(**one) for name, one in record["steps"].items()}
-            identity, files = record["description"], record.get("files")
-            files = files if files is None else dict(files)
+            identity, simulated, files = record["description"], record.get("simulated"), dict(record.get("files", ()))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise CommissionRefused(
-                f"record {path}: cannot be read ({error}); remove it, or name another folder"
-            ) from error
-        if files is None:
-            raise CommissionRefused(
-                f"record {path}: is of an earlier version, which did not note the content of the survey; name another "
-                "folder, or remove it"
-            )
+            raise self._refused(f"cannot be read ({error})") from error
+        if not files:
+            raise self._refused("is of an earlier version, which did not note the content of the survey")
         self._refuse_changed(files, self._files)
         if identity != self._identity:
-            raise CommissionRefused(
-                f"record {path}: is of another description, or of other parameters; name another folder, or remove it"
-            )
-        if record.get("simulated", self._work.machine.simulated) != self._work.machine.simulated:
-            kind = "a simulated" if record["simulated"] else "a real"
-            raise CommissionRefused(f"record {path}: is of {kind} machine; name another folder, or remove it")
+            raise self._refused("is of another description, or of other parameters")
+        if simulated != self._work.machine.simulated:
+            raise self._refused(f"is of {'a simulated' if simulated else 'a real'} machine")
         return outcomes

@@ -33,7 +33,6 @@ from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.parameters.share import make_private, private_folder
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.watch import WatchParameters
 from straightcomp_ros.timing.cpus import use_kept_free
 from straightcomp_ros.timing.node_timing import EXCITATION, EXCITING, FINISHED
 from straightcomp_ros.tuning.commissioning import CommissioningError, LeftTravel
@@ -71,8 +70,8 @@ class RunningMachine:
     def __init__(self, client: WaitingClient, values: Values, logger: Mapping[str, Any], folder: Path) -> None:
         self._client, self._values, self._folder = client, values, folder
         self._logger = {name: logger[name] for name in _RECORDING}
-        self._travel = values.get("driver", {}).get(_TRAVEL, WatchParameters().travel)
-        self.simulated = is_simulated(values.get("driver", {}))
+        self._travel = values["driver"][_TRAVEL]
+        self.simulated = is_simulated(values["driver"])
         self._given: dict[str, dict[str, Any]] = {}
         if client.safety.amplifier_on:
             raise CommissioningError("the amplifier is on: another client uses the machine; stop that first")
@@ -390,17 +389,15 @@ class FirstParameters:
     """The parameters with which a client found the nodes, in files until the nodes have them again.
 
     There is a file for each node, named after its process: parameters of a node that was started anew are new. All
-    clients of the user have the same ``folder``, to which no other user may write.
+    clients of the user have the same folder, to which no other user may write.
 
     Attributes:
         values: by node and dotted name: those that a client which was killed has kept, otherwise those ``found``.
     """
 
-    def __init__(
-        self, found: Mapping[str, Mapping[str, Any]], processes: Mapping[str, str], folder: Path | None = None
-    ) -> None:
+    def __init__(self, found: Mapping[str, Mapping[str, Any]], processes: Mapping[str, str]) -> None:
         self._files = {
-            node: (folder or private_folder()) / f"parameters_{hashlib.sha256(process.encode()).hexdigest()[:24]}.json"
+            node: private_folder() / f"parameters_{hashlib.sha256(process.encode()).hexdigest()[:24]}.json"
             for node, process in processes.items()
         }
         self.values = {node: dict(section) for node, section in found.items()}

@@ -24,7 +24,7 @@ from scipy.signal import savgol_filter
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import Recording
 from straightcomp_ros.model.actuator import MU_0, Actuator
-from straightcomp_ros.model.friction import LuGre, LuGreParameters
+from straightcomp_ros.model.friction import LuGre
 from straightcomp_ros.model.plant import Plant, substep_for
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.stage.description import StageParameters
@@ -149,7 +149,7 @@ class Centre:
         )
 
 
-def centre(recording: Recording, stribeck: float = LuGreParameters.stribeck_velocity) -> Centre | None:
+def centre(recording: Recording, stribeck: float) -> Centre | None:
     """The centre of the magnets; None where the record has too little sliding, or shows no stiffness.
 
     A readback with an offset looks the same: the centre is that of the measured current. ``stribeck`` is the described

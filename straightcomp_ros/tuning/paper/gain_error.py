@@ -67,17 +67,12 @@ def released(machine: Machine, a: float) -> Response:
     return release(machine, a * machine.gap, np.zeros(machine.samples(_DURATION)))
 
 
-def unclamped(machine: Machine) -> Machine:
-    """The idealised machine under (9), without a limit of the current."""
-    return machine.idealised().with_law("smc")
-
-
 def far_release(machine: Machine) -> PaperFigure:
     """Fig. 4: release the idealised machine under (9), without and with a limit of the current.
 
     Position and current of both, over the first milliseconds and until the clamped law has settled.
     """
-    free, gap, bias = unclamped(machine), machine.gap, machine.bias
+    free, gap, bias = machine.idealised().with_law("smc"), machine.gap, machine.bias
     unlimited, limited = (released(one, FAR) for one in (free, free.with_limit(bias)))
     # From where the platform is back at the centre at the end; to 0.4 % of y0.
     returns_from = bisected(lambda a: bool(abs(released(free, a).y[-1]) < _RETURNED * gap), 0.1, FAR, 7)

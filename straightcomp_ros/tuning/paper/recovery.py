@@ -23,7 +23,7 @@ from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
 from straightcomp_ros.offline.scenario import run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, legend_below, sheet
-from straightcomp_ros.tuning.paper.gain_error import FAR, unclamped
+from straightcomp_ros.tuning.paper.gain_error import FAR
 from straightcomp_ros.tuning.paper.machine import Machine
 
 PUBLISHED, FULL_CURRENT = "law (9), unclamped", "full current"
@@ -145,7 +145,7 @@ class Regions(NamedTuple):
 def machines_of(machine: Machine) -> dict[str, Machine]:
     """The idealised machine under (9) unclamped, and the shipped one with |i_c| <= I0 under each law."""
     limited = machine.with_limit(machine.bias)
-    return {PUBLISHED: unclamped(machine), **{law: limited.with_law(law) for law in SHOWN}}
+    return {PUBLISHED: machine.idealised().with_law("smc"), **{law: limited.with_law(law) for law in SHOWN}}
 
 
 def regions(machine: Machine, points: int = POINTS) -> Regions:

@@ -12,7 +12,6 @@ import pytest
 from roughly_known import values_of, work_on
 
 from straightcomp_ros.analysis.straightness_statement import Contribution, Statement, with_uncertainty
-from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.tuning.commissioning import STEP_FILES
 from straightcomp_ros.tuning.commissioning.certificate import certificate
@@ -32,8 +31,10 @@ TIMING = {
 }
 NONE_LOST = {"lost_samples": 0, "lost_commands": 0}
 MARGINS = {"gain_low": 0.25, "gain_high": 2.5, "phase_deg": 45.0}
-SHOWN = {"clock_drift_ppm": 12.5, "jitter_us": 3.25, "noise_y_counts": 0.375, "count_y_nm": 100.5}
+SHOWN = {"rate_Hz": 199.5, "clock_drift_ppm": 12.5, "jitter_us": 3.25, "count_y_nm": 100.5}
+SHOWN |= {"noise_y_counts": 0.375, "noise_x_counts": 0.125}
 ACCEPTED = {"encoder_pp_um": 0.4, "encoder_rms_um": 0.064, "control_rms_step_A": 0.00137}
+ACCEPTED |= {"samples": 30000, "straightness": []}
 LIMITS = {"encoder_pp_um": 0.6, "encoder_rms_um": 0.096, "control_rms_step_A": 0.00206}
 FIGURES: dict[str, dict[str, Any]] = {
     "connection": {**NONE_LOST, **SHOWN, "latency_us": LATENCY, "latency_histogram": [[355.3, 60000]]},
@@ -41,7 +42,7 @@ FIGURES: dict[str, dict[str, Any]] = {
     "identification": {"parameters": {}, "untold": ["Forces have no scale of their own.", "Friction < 2 N."]},
     "design": {"budget": [{"cause": "as described", "pp_um": 0.19, "rms_um": 0.036}]},
     "frequency_response": {"margins": MARGINS, "model_margins": {}},
-    "acceptance": {**ACCEPTED, **NONE_LOST, "lost_commands": 3, "samples": 30000, "timing": TIMING, "limits": LIMITS},
+    "acceptance": {**ACCEPTED, **NONE_LOST, "lost_commands": 3, "timing": TIMING, "limits": LIMITS},
 }
 
 
@@ -71,7 +72,6 @@ def written(folder):
         ("acceptance", {"timing": {**TIMING, "as_measured_costs_um": math.inf}}, "infinite, since the platform is"),
         # As a record has it that was read again.
         ("acceptance", {"timing": {**TIMING, "as_measured_costs_um": None}}, "infinite, since the platform is lost"),
-        ("acceptance", {"lost_samples": None}, "lost samples of the stroke unknown"),
     ],
 )
 def test_a_figure_beyond_its_limit_is_named_and_nothing_is_written(tmp_path, step, changed, words):
@@ -181,9 +181,7 @@ def test_the_certificate_has_the_checksum_of_the_map_wherever_it_was_found(tmp_p
     if where == "home":
         monkeypatch.setenv("HOME", str(tmp_path))
         name, survey = "~/mine.csv", shutil.copy(survey, tmp_path / "mine.csv")
-    work = done(tmp_path)
-    work = dataclasses.replace(work, values=with_values(work.values, "stage", {"guide.file": name}))
-    assert certificate(work).passed
+    assert certificate(done(tmp_path).given("stage", {"guide.file": name})).passed
     digests = written(tmp_path)[1]["sha256"]
     assert digests[f"map {survey.name}"] == hashlib.sha256(survey.read_bytes()).hexdigest()
 

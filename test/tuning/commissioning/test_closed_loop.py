@@ -12,7 +12,6 @@ from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.current_path import SHORTEST, CurrentPath, read_recording
 from straightcomp_ros.control.excitation import ExcitationEnded, MultisineParameters
 from straightcomp_ros.model.motion import forward_and_back
-from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.stage.description import StageParameters, UncertaintyParameters
@@ -148,8 +147,7 @@ def test_a_mode_that_nobody_described_is_described_as_found(tmp_path, monkeypatc
     facts = modes_found(mechanics, work.stage)
     assert facts["platform.modes.second.frequency"] == 180.0 and facts["platform.modes.second.encoder"] == -1.0
     assert not any("first" in name for name in facts) and "180.0 Hz" in words and "350.0 Hz" in words
-    values_of_both = with_values(work.values, "stage", facts)
-    assert node_parameters("controller", values_of_both).stage.platform.modes.second.residue == -1.0
+    assert work.given("stage", facts).stage.platform.modes.second.residue == -1.0
 
 
 def test_what_the_response_shows_of_force_over_mass_moves_all_forces_of_the_record_alike():
@@ -358,9 +356,9 @@ def test_the_map_of_the_excitation_stands_beside_its_bag_and_replaces_no_file_of
         load_map(node_parameters("driver", values).stage.guide)
         raise LeftTravel("far enough")
 
-    values = with_values(work.values, "stage", {"guide.min_points": 1000, "guide.max_gap": 1e-4, "guide.travel": 4e-5})
-    machine = SimpleNamespace(stroke=stroke)
-    assert not identification(dataclasses.replace(work, values=values, machine=machine)).passed
+    demands = {"guide.min_points": 1000, "guide.max_gap": 1e-4, "guide.travel": 4e-5}
+    work = dataclasses.replace(work, machine=SimpleNamespace(stroke=stroke)).given("stage", demands)
+    assert not identification(work).passed
     assert mine.read_text() == "a survey that took a day"
     assert moved_along == [str(work.folder / "bags" / "excitation.csv")] and "bags" in MADE
 

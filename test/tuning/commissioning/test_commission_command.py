@@ -1,6 +1,7 @@
 """The steps are done once and in their order; the command says what they found, and ends at a machine that is not as
 described, with no current left."""
 
+import itertools
 import json
 import re
 from functools import partial
@@ -13,7 +14,7 @@ from tiers import nightly
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.parameters.output_files import MARK, making
+from straightcomp_ros.parameters.output_files import MARK
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.commissioning import MADE, RECORD, STEP_FILES, CommissionRefused, procedure
 from straightcomp_ros.tuning.commissioning import machine as machines
@@ -40,22 +41,22 @@ def test_a_step_alone_is_done_and_a_later_one_is_refused(commission):
     assert code == 2 and "rests on 'signs_and_scales', which has not passed" in said
 
 
-def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(folder, tmp_path, commission):
+def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(done, tmp_path, commission):
     check = tmp_path / "check.csv"
     rows = [f"{run},{place},{0.01 * place + 0.1 * run}" for run in (1, 2) for place in range(0, 601, 100)]
     check.write_text("\n".join(["run,x_mm,deviation_um", *rows]) + "\n")
-    passed = {name: Outcome(True, "passed") for name in STEPS}
 
     def refuses(*asked):
         code, _, said = commission(*asked)
         return code == 2 and f"{asked[0]}: step 'acceptance' has passed without it; --only acceptance" in said
 
     # Passed without a survey, and without learning; nothing is left to do.
-    done_before(folder, passed)
+    assert commission().code == 0
     assert refuses("--check-survey", check) and refuses("--learn", 3)
     # The command that was interrupted after its acceptance goes on, wherever its files are now.
     figures = {"survey_check_sha256": read_survey(check, max_gap=1.0, min_points=4).digest, "learning_strokes": 3}
-    done_before(folder, {**passed, "acceptance": Outcome(True, "passed", figures, gains={"learning.learn": True})})
+    done["acceptance"] = lambda work: Outcome(True, "passed", figures, gains={"learning.learn": True})
+    assert commission("--only", "acceptance").code == commission().code == 0
     code, _, said = commission("--check-survey", check.rename(tmp_path / "moved.csv"), "--learn", 3)
     assert code == 0 and "next: all is done" in said
     check.write_text((tmp_path / "moved.csv").read_text().replace(",6.1", ",7.1"))
@@ -66,44 +67,31 @@ def test_what_an_acceptance_that_has_passed_cannot_heed_any_more_is_refused(fold
     assert refuses("--check-survey", check)
 
 
-def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, commission, monkeypatch):
+def test_an_acceptance_that_is_done_once_more_heeds_what_is_asked_for_now(done, commission):
     assert commission().code == 0
     # Whoever interrupts the repeat of an early step leaves the acceptance passed, but to be done again.
-    monkeypatch.setitem(procedure.STEPS, "safe_loop", interrupted)
+    done["safe_loop"] = interrupted
     assert commission("--only", "safe_loop").code == 130
-    monkeypatch.setitem(procedure.STEPS, "safe_loop", lambda work: Outcome(True, "once more"))
+    done["safe_loop"] = lambda work: Outcome(True, "once more")
     learned = []
-    monkeypatch.setitem(
-        procedure.STEPS, "acceptance", lambda work: learned.append(work.learning_strokes) or Outcome(True, "learned")
-    )
-    monkeypatch.setitem(procedure.STEPS, "design", lambda work: Outcome(False, "no gains"))
+    done["acceptance"] = lambda work: learned.append(work.learning_strokes) or Outcome(True, "learned")
+    done["design"] = lambda work: Outcome(False, "no gains")
     code, _, said = commission()
     assert code == 1 and "next: the same command does the steps that are left: design" in said
-    monkeypatch.setitem(procedure.STEPS, "design", lambda work: Outcome(True, "gains"))
+    done["design"] = lambda work: Outcome(True, "gains")
     code, _, said = commission("--learn", 3)
     assert code == 0, said
     assert learned == [3]
 
 
-def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_command(folder, commission, monkeypatch):
-    done_before(folder, {name: Outcome(True, "passed") for name in STEPS})
-    monkeypatch.setitem(procedure.STEPS, "certificate", lambda work: Outcome(work.require > 0.3, "judged"))
+def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_command(done, commission):
+    done["certificate"] = lambda work: Outcome(work.require > 0.3, "judged")
     missed = commission("--require", 0.25)
     (said,) = (line for line in missed.err.splitlines() if line.startswith("next: "))
     assert missed.code == 1 and "--only STEP" in said and "--require" in said and "the same command" not in said
     # It does what it says.
     kept = commission("--require", 0.4)
     assert kept.code == 0 and "next: all is done" in kept.err
-
-
-def done_before(folder, outcomes):
-    """Write the record of these steps."""
-    folder.mkdir(exist_ok=True)
-    (folder / RECORD).unlink(missing_ok=True)
-    procedure = begun(folder)
-    procedure.outcomes.update(outcomes)
-    with making(folder, [RECORD], anew=False):
-        procedure._write()
 
 
 @pytest.mark.parametrize(
@@ -217,20 +205,17 @@ def test_a_platform_that_comes_loose_later_is_named_by_the_frequency_response(co
 
 @pytest.fixture
 def done(monkeypatch):
-    """Replace the steps by ones that only say that they were done; the third finds a mass, the fifth a law."""
-    calls: list[str] = []
+    """The steps, each of which only says that it was done; the third finds another mass each time, the fifth a law."""
+    masses = itertools.count(3)
 
-    def step(name):
-        def run(work):
-            calls.append(name)
-            found = {"platform.mass": float(len(calls))} if name == "safe_loop" else {}
-            gains = {"control.law": "smc"} if name == "design" else {}
-            return Outcome(True, f"{name} at {work.stage.platform.mass:g} kg", {"law": str(work.values)}, found, gains)
+    def step(name, work):
+        found = {"platform.mass": float(next(masses))} if name == "safe_loop" else {}
+        gains = {"control.law": "smc"} if name == "design" else {}
+        return Outcome(True, f"{name} at {work.stage.platform.mass:g} kg", {"law": str(work.values)}, found, gains)
 
-        return run
-
-    monkeypatch.setattr(procedure, "STEPS", {name: step(name) for name in STEPS})
-    return calls
+    steps = {name: partial(step, name) for name in STEPS}
+    monkeypatch.setattr(procedure, "STEPS", steps)
+    return steps
 
 
 def begun(folder, **stage):
@@ -247,14 +232,13 @@ def run(procedure, steps):
     return procedure
 
 
-def test_after_an_interrupt_a_later_call_goes_on_with_that_step_and_with_what_those_before_it_found(
-    done, tmp_path, monkeypatch
-):
+def test_after_an_interrupt_a_later_call_goes_on_with_that_step_and_with_what_those_before_it_found(done, tmp_path):
     one = run(begun(tmp_path, platform__mass=2.0), list(STEPS)[:4])
     before = (tmp_path / RECORD).read_bytes()
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setitem(procedure.STEPS, "design", interrupted)
+    design, done["design"] = done["design"], interrupted
+    with pytest.raises(KeyboardInterrupt):
         one.run("design")
+    done["design"] = design
     assert (tmp_path / RECORD).read_bytes() == before
     again = begun(tmp_path, platform__mass=2.0)
     assert again.remaining() == list(STEPS)[4:]
@@ -267,11 +251,11 @@ def test_after_an_interrupt_a_later_call_goes_on_with_that_step_and_with_what_th
 
 @pytest.mark.parametrize("learned", [{}, {"learning.learn": True, "learning.file": "learned.csv"}])
 def test_no_step_learns_on_a_stage_that_learns_but_an_acceptance_that_is_to_and_the_certificate_is_of_that(
-    done, tmp_path, monkeypatch, learned
+    done, tmp_path, learned
 ):
     values = with_values(values_of(), "controller", {"learning.learn": True, "learning.file": "mine.csv"})
     one = Procedure(SimulatedMachine(values), values, tmp_path, evaluations=1, machines=1)
-    monkeypatch.setitem(procedure.STEPS, "acceptance", lambda work: Outcome(True, "accepted", gains=learned))
+    done["acceptance"] = lambda work: Outcome(True, "accepted", gains=learned)
     run(one, STEPS)
     learns = [step for step in STEPS if node_parameters("controller", one.work(step).values).learning.learn]
     assert learns == (["certificate"] if learned else [])
@@ -286,45 +270,41 @@ def interrupted(work):
 
 
 @pytest.mark.parametrize("step", ["connection", "frequency_response", "acceptance", "certificate"])
-def test_a_step_that_is_repeated_voids_the_certificate_and_its_own_files_before_it_begins(
-    done, tmp_path, monkeypatch, step
-):
+def test_a_step_that_is_repeated_voids_the_certificate_and_its_own_files_before_it_begins(done, tmp_path, step):
     one = run(begun(tmp_path), STEPS)
     written = {name for names in STEP_FILES.values() for name in names}
     assert left(tmp_path) == written and one.remaining() == []
-    monkeypatch.setitem(procedure.STEPS, step, interrupted)
+    done[step] = interrupted
     with pytest.raises(KeyboardInterrupt):
         one.run(step)
     assert left(tmp_path) == written - {*STEP_FILES.get(step, ()), *STEP_FILES["certificate"]}
     # The bag of the step may be gone, so that the step is to be done again.
     again = begun(tmp_path)
     assert again.remaining() == list(STEPS)[list(STEPS).index(step) :]
-    monkeypatch.setitem(procedure.STEPS, step, lambda work: Outcome(True, "once more"))
+    done[step] = lambda work: Outcome(True, "once more")
     assert run(again, again.remaining()).remaining() == []
 
 
-def test_a_step_that_finds_something_else_voids_the_later_ones_and_a_failure_leaves_no_file_of_theirs(
-    done, tmp_path, monkeypatch
-):
+def test_a_step_that_finds_something_else_voids_the_later_ones_and_a_failure_leaves_no_file_of_theirs(done, tmp_path):
     one = run(begun(tmp_path), STEPS)
     one.run("connection")
     assert one.remaining() == ["certificate"]
     one.run("safe_loop")
     assert one.remaining() == list(STEPS)[3:]
     run(one, one.remaining())
-    monkeypatch.setitem(procedure.STEPS, "connection", lambda work: Outcome(False, "no samples"))
+    done["connection"] = lambda work: Outcome(False, "no samples")
     one.run("connection")
     assert left(tmp_path) == set()
     assert begun(tmp_path).remaining() == list(STEPS)
 
 
-def test_what_a_stroke_shows_of_the_machine_is_known_to_another_design(done, tmp_path, monkeypatch):
+def test_what_a_stroke_shows_of_the_machine_is_known_to_another_design(done, tmp_path):
     one, slips = run(begun(tmp_path), list(STEPS)[:6]), {"friction.model": "maxwell_slip"}
 
     def finds(work):
         return Outcome(True, "slips", before={} if work.stage.friction.model == slips["friction.model"] else slips)
 
-    monkeypatch.setitem(procedure.STEPS, "acceptance", finds)
+    done["acceptance"] = finds
     run(one, ["acceptance"])
     assert one.remaining() == list(STEPS)[4:] and left(tmp_path).isdisjoint(STEP_FILES["frequency_response"])
     again = begun(tmp_path)

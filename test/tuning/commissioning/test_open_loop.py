@@ -24,7 +24,6 @@ from roughly_known import (
 
 from straightcomp_ros.control.excitation import ExcitationParameters
 from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.tuning.commissioning import LeftTravel, open_loop
 from straightcomp_ros.tuning.commissioning.machine import Series, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.open_loop import connection, current_readback, signs_and_scales
@@ -205,17 +204,14 @@ def test_a_push_against_a_flexure_shows_the_sign_before_it_swings_back(tmp_path,
 def test_an_amplifier_that_is_too_fast_for_the_samples_and_any_described_delay_are_no_fault(
     tmp_path, bandwidth, delay, found
 ):
-    described = {"drive.bandwidth": bandwidth, "drive.delay": delay}
-    values = values_of(
-        **{name.replace(".", "__"): value for name, value in described.items()}, uncertainty__amplifier=1.0
-    )
-    outcome = signs_and_scales(work_on(values, tmp_path))
+    work = work_on(values_of(drive__bandwidth=bandwidth, drive__delay=delay, uncertainty__amplifier=1.0), tmp_path)
+    outcome = signs_and_scales(work)
     assert outcome.passed, outcome.sentence
     assert outcome.figures["delay_samples"] == pytest.approx(found, abs=1e-5)
     assert outcome.figures["amplifier_bandwidth_Hz"] == pytest.approx(min(bandwidth, 5.0 / (2.0 * math.pi * PERIOD)))
-    stage = {**described, **outcome.stage}
-    assert stage == pytest.approx(described, abs=1e-5) and ("drive.delay" in outcome.stage) is (bandwidth < 1e3)
-    node_parameters("controller", {**values, "stage": {**values["stage"], **stage}})
+    drive = work.given("stage", outcome.stage).stage.drive
+    assert (drive.bandwidth, drive.delay) == pytest.approx((bandwidth, delay), abs=1e-5)
+    assert ("drive.delay" in outcome.stage) is (bandwidth < 1e3)
 
 
 @pytest.mark.parametrize("stop", [5e-4, 1e-5])

@@ -43,6 +43,7 @@ from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, slidi
 from straightcomp_ros.tuning.verbs import friction
 
 START = StageParameters()
+STRIBECK = START.friction.stribeck_velocity
 SHORT = {"motion.stroke": 0.5, "motion.settle": 0.2, "motion.pause": 0.1}
 STIFF = {
     "platform.mass": 3.4,
@@ -277,7 +278,7 @@ def shifted_bag(tmp_path, waves):
 
 
 def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag, stiff_bag):
-    aligned, off = centre(read_recording(stiff_bag)), centre(read_recording(shifted_bag))
+    aligned, off = (centre(read_recording(bag), STRIBECK) for bag in (stiff_bag, shifted_bag))
     assert aligned is not None and not aligned.certain and abs(aligned.value) < 0.1e-6
     assert off is not None and off.certain and off.value == pytest.approx(SHIFT, abs=0.1e-6)
 
@@ -304,7 +305,7 @@ def test_a_platform_has_a_centre_on_a_flexure_that_is_stiffer_than_the_magnets_b
     )
     current = (acceleration - stiffness * y + 3.0 * speed - 0.1) / 14.0
     current += 1e-3 * share * np.random.default_rng(1).standard_normal(time.size)
-    found = centre(recording.Recording(period_ns, y, y, current, current, time.size))
+    found = centre(recording.Recording(period_ns, y, y, current, current, time.size), STRIBECK)
     assert (found and found.value) == (shift and within and pytest.approx(shift, rel=within))
 
 
