@@ -22,6 +22,7 @@ from straightcomp_ros.cli.options import (
     stage_values,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, styled, working
+from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
@@ -36,9 +37,14 @@ from straightcomp_ros.tuning.verbs import (
 
 SUMMARY = "measure, tune and verify a stage, step by step"
 PURPOSE = "tune"
-_LARGEST = 100_000
-_MOST_STROKES = 1000
 _ACCEPTANCE = "acceptance"
+_WORDS = {
+    "evaluations": "candidates of the design, half as many as of one alone",
+    "machines": "uncertain machines of its check",
+    "learn": "before the acceptance let the controller learn from N strokes, and keep what it learned",
+}
+"""Options that are numbers of the node too, which declares their defaults and ranges."""
+_NUMBERS = {one.name: one for one in declarations(CommissioningNodeParameters) if one.name in _WORDS}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,14 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--output", "-o", metavar="DIR", required=True, help="folder of the record, the bags and the results")
     only = f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}"
     add("--only", choices=STEP_NAMES, metavar="STEP", help=only)
-    for name, words in (
-        ("evaluations", "candidates of the design, half as many as of one alone"),
-        ("machines", "uncertain machines of its check"),
-    ):
-        default = getattr(CommissioningNodeParameters(), name)
-        add(f"--{name}", type=int, default=default, metavar="N", help=f"{words} (default: %(default)s)")
-    learn = "before the acceptance let the controller learn from N strokes, and keep what it learned (default: none)"
-    add("--learn", type=int, default=0, metavar="N", help=learn)
+    for name, one in _NUMBERS.items():
+        add(f"--{name}", type=int, default=one.default, metavar="N", help=f"{_WORDS[name]} (default: %(default)s)")
     check = "independent measurement of the guide at some places, at least twice: acceptance checks the map by it"
     add("--check-survey", metavar="FILE", help=check)
     require = (
@@ -68,9 +68,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    for name in ("evaluations", "machines"):
-        check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
-    check_range("--learn", options.learn, 0, _MOST_STROKES)
+    for name, one in _NUMBERS.items():
+        check_range(f"--{name}", getattr(options, name), one.minimum, one.maximum)
     if options.require is not None and not 0.0 < options.require < math.inf:
         raise CommandFailed(f"--require: {options.require:g} µm; allowed: > 0", exit_code=2)
     if (options.graph == RUNNING) == bool(options.file):
