@@ -17,13 +17,12 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from datetime import datetime, timedelta, timezone
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -32,11 +31,11 @@ from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.cli.options import output_folder, whole_number
 from straightcomp_ros.cli.output import print_json
-from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, parquet, table_of
+from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, schema_of, sealed, table_of
 from straightcomp_ros.fleet.history.store import STROKES
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.fleet.maintenance.advice import advice_of, changes_of
-from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, levels_of
+from straightcomp_ros.fleet.maintenance.day_levels import FIGURES, DayLevels, day_levels
 from straightcomp_ros.fleet.maintenance.level_change import MONTH, WEEK
 from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
 from straightcomp_ros.hardware.simulated import SimulatedHardware
@@ -52,8 +51,7 @@ from trials.rig import tracked
 SUMMARY = "how soon wear is found, and by how many false alarms"
 Array = NDArray[np.float64]
 BAGS_A_DAY = 24
-START = datetime(2026, 1, 1, tzinfo=timezone.utc)
-_FIRST_DAY = int(START.timestamp()) // 86_400
+START = np.datetime64("2026-01-01", "us")
 DAYS, BEGIN = 365, 120
 """Days of a stage-year, and the day on which wear begins."""
 _STARTS = 8
@@ -173,46 +171,11 @@ def simulated_rows(
     return rows_of(evaluation, {"map_checksum": checksum})
 
 
-class Months(NamedTuple):
-    """Strokes in the order of time: day since 1970, direction, figures by name (N,), change of the guide (N, m) in µm
-    at x (m,) in m, software (N,), and the strokes of the pool that they are made from."""
-
-    day: NDArray[np.int64]
-    forward: NDArray[np.bool_]
-    figures: dict[str, Array]
-    guide: Array
-    x: Array
-    software: list[str]
-    made_from: list[StrokeRow]
-
-    def levels(self) -> DayLevels:
-        """Their levels from day to day."""
-        constant = ["first"] * self.day.size
-        profiles = {"guide_change_um": self.guide, "error_bins_um": np.broadcast_to(np.nan, self.guide.shape)}
-        settings = {"software": self.software, "map": constant, "parameters": constant}
-        return levels_of(self.day, self.forward, self.figures, self.x, profiles, settings)
-
-    def rows(self, stage: str) -> list[StrokeRow]:
-        """As rows of a store; a bag has a stroke forward and one backward."""
-        rows, apart = [], 86_400.0 / np.count_nonzero(self.day == self.day[0])
-        for k, day in enumerate(self.day.tolist()):
-            figures: dict[str, Any] = {name: float(values[k]) for name, values in self.figures.items()}
-            facts: dict[str, Any] = {
-                "lost_samples": round(figures["lost_samples"]),
-                "checksum": f"{k // 2:032x}",
-                "bag": f"{stage}_{k // 2:05d}",
-                "start": START + timedelta(days=day - _FIRST_DAY, seconds=k * apart % 86_400.0),
-                "guide_change_um": self.guide[k].tolist(),
-                "software_version": self.software[k],
-            }
-            rows.append(replace(self.made_from[k], **figures | facts))
-        return rows
-
-
 def months(
     pool: Pool, wear: Wear, begin: int, days: int, seed: int, *, bags: int = BAGS_A_DAY, sensor: bool = True
-) -> Months:
-    """``days`` days of a stage that wears from day ``begin`` on; ``sensor``: with a displacement sensor."""
+) -> pyarrow.Table:
+    """The strokes of ``days`` days of a stage that wears from day ``begin`` on, in the order of time: rows of a store
+    whose figures and guide are as float64. ``sensor``: with a displacement sensor."""
     random, base = np.random.default_rng(seed), pool[BASE]
     daily = {name: _daily(random, days, size) for name, size in CLIMATE.items()}
     worn = np.maximum(np.arange(days) - begin, -1)
@@ -244,9 +207,21 @@ def months(
     guide = profile[day] + _READING_UM * random.standard_normal((day.size, x.size))
     if not sensor:
         guide[:] = np.nan
-    software = ["1.2" if one else "1.1" for one in (changed["transport"] > 0.0)[day].tolist()]
-    made_from = [base[2 * number + k % 2] for k, number in enumerate(drawn.tolist())]
-    return Months(day + _FIRST_DAY, forward, figures, guide, x, software, made_from)
+    number, apart_us = np.arange(day.size), 86_400_000_000 // (2 * bags)
+    start = START + (86_400_000_000 * day + apart_us * (number % (2 * bags))).astype("timedelta64[us]")
+    columns = {
+        **figures,
+        "lost_samples": np.round(figures["lost_samples"]),
+        "start": pyarrow.array(start, pyarrow.timestamp("us", tz="UTC")),
+        "bag": [f"{wear.name}_{k // 2:05d}" for k in number],
+        "checksum": [f"{k // 2:032x}" for k in number],
+        "software_version": np.where(changed["transport"] > 0.0, "1.2", "1.1")[day],
+        "guide_change_um": pyarrow.ListArray.from_arrays(x.size * np.arange(day.size + 1), guide.ravel()),
+    }
+    table = table_of(StrokeRow, base).take(2 * drawn + number % 2)
+    for name, values in columns.items():
+        table = table.set_column(table.schema.get_field_index(name), name, pyarrow.array(values))
+    return table
 
 
 def _figure(rows: list[StrokeRow], name: str, forward: bool) -> Array:
@@ -268,11 +243,13 @@ def write_store(folder: Path, pool: Pool, *, days: int = DAYS, begin: int = BEGI
     """Write ``days`` days of a stage of each wear, and of a sound one; a file for each month. OSError if that fails."""
     for number, wear in enumerate(tracked((SOUND, *WEARS), "store")):
         # Fewer bags than a machine makes: the store is for looking at.
-        rows = months(pool, wear, begin, days, 7 + number, bags=4).rows(wear.name)
-        for month, group in groupby(rows, key=lambda row: f"{row.start:%Y-%m}"):
+        table = months(pool, wear, begin, days, 7 + number, bags=4).cast(schema_of(StrokeRow))
+        month_of = table["start"].to_numpy().astype("datetime64[M]")
+        for month in np.unique(month_of):
             place = folder / STROKES / f"stage={wear.name}" / f"month={month}"
             place.mkdir(parents=True, exist_ok=True)
-            write_whole(place / f"simulated_{month}.parquet", parquet(StrokeRow, list(group)))
+            strokes = sealed(table.filter(month_of == month), use_dictionary=False, write_statistics=False)
+            write_whole(place / f"simulated_{month}.parquet", strokes)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -297,7 +274,7 @@ def measured(pool: Pool, years: int, sound: int) -> dict[str, Any]:
     """Figures of so many stage-years of each wear, and of ``sound`` ones without wear."""
 
     def year(wear: Wear, seed: int, sensor: bool = True) -> list[tuple[str, int]]:
-        return alarms_of(months(pool, wear, BEGIN, DAYS, seed, sensor=sensor).levels())
+        return alarms_of(day_levels(months(pool, wear, BEGIN, DAYS, seed, sensor=sensor)))
 
     false = [len(year(SOUND, seed)) for seed in tracked(range(sound), "sound stage-years")]
     wears = {}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
-from straightcomp_ros.fleet.maintenance.day_levels import levels_of
+from straightcomp_ros.fleet.maintenance.day_levels import day_levels, levels_of
 from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
@@ -146,7 +146,7 @@ def test_advice_lapses_when_the_figure_is_back_and_hides_nothing_that_lasts(make
 @pytest.mark.parametrize("wear", WEARS, ids=lambda wear: wear.name)
 def test_simulated_wear_is_found_with_its_cause(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4)
-    found = [one for one in advice_of(strokes.levels()) if one.cause == wear.cause]
+    found = [one for one in advice_of(day_levels(strokes)) if one.cause == wear.cause]
     assert found and found[0].found >= date(2026, 3, 2)
 
 
@@ -222,7 +222,7 @@ def test_a_damaged_file_or_a_folder_says_so_in_place_of_advice(tmp_path, content
 
 @pytest.mark.nightly
 def test_sound_stages_raise_less_than_one_alarm_a_year(pool):
-    years = [months(pool, SOUND, 0, 365, 900 + seed, bags=4).levels() for seed in range(5)]
+    years = [day_levels(months(pool, SOUND, 0, 365, 900 + seed, bags=4)) for seed in range(5)]
     assert sum(len(alarms_of(year)) for year in years) <= 5
 
 
