@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.bags.simulated_run import START_NS, SimulatedRun
-from straightcomp_ros.bags.topics import Topic, typestore
+from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, append_aligned
 from straightcomp_ros.offline.incident import NO_REASON, pack
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
@@ -49,8 +50,6 @@ _INJECTED = {
     Fault.FOLLOWING_ERROR: "y out of range",
 }
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
-_PARTS = ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "diagnostic_msgs/msg/KeyValue")
-_PARTS += ("diagnostic_msgs/msg/DiagnosticStatus",)
 _LOGGED = {
     Fault.HEARTBEAT_LOST: ("cell", "[ERROR] [cell]: cycle failed: heartbeat_lost: no heartbeat of feedforward for 1 s"),
     Fault.RECORDING_STOPPED: ("logger", "[ERROR] [logger]: recording stopped: bag run: 0 bytes are free on its disk"),
@@ -114,7 +113,6 @@ def one_incident(fault: Fault, folder: Path, user: str | None = None) -> dict[st
         "first_line": first,
         "named": first.startswith(f"fault {fault.label}: ") and not first.endswith(NO_REASON),
         "same": (opened["cause"], opened["audit"]) == (first, there["audit"]) and " 0 differ" in opened["audit"],
-        "verdict": opened["verdict"],
         "audit": opened["audit"],
     }
 
@@ -122,12 +120,12 @@ def one_incident(fault: Fault, folder: Path, user: str | None = None) -> dict[st
 def _opened(file: Path, folder: Path, user: str | None) -> dict[str, Any]:
     # Whatever ROS this environment has, the other computer has none: its modules cannot be imported.
     code = "import sys; sys.modules['rclpy'] = None; from straightcomp_ros.cli.main import main; sys.exit(main())"
-    words = [sys.executable, "-c", code, "incident", "open", str(file), "-o", str(folder), "--json"]
+    as_user: list[str] = []
     if user:
         folder = Path(f"/home/{user}") / f"{file.stem}_{time.time_ns()}"
-        words[words.index("-o") + 1] = str(folder)
         path = os.pathsep.join(filter(None, sys.path))
-        words = ["runuser", "-u", user, "--", "env", f"PYTHONPATH={path}", "HOME=" + str(folder.parent), *words]
+        as_user = ["runuser", "-u", user, "--", "env", f"PYTHONPATH={path}", f"HOME={folder.parent}"]
+    words = [*as_user, sys.executable, "-c", code, "incident", "open", str(file), "-o", str(folder), "--json"]
     done = subprocess.run(words, capture_output=True, text=True, cwd=folder.parent)
     shutil.rmtree(folder, ignore_errors=True)
     if done.returncode:
@@ -175,7 +173,9 @@ def record_fault(fault: Fault, bag: Path) -> None:
 
 
 def _diagnostics(node: str, error: str, stamp_ns: int) -> bytes:
-    store = typestore()
-    time, header, pair, status, array = (store.types[name] for name in (*_PARTS, _ARRAY))
-    one = status(2, f"/{node}", error, "simulated", [pair("error", error)])
-    return bytes(store.serialize_cdr(array(header(time(*divmod(stamp_ns, 10**9)), ""), [one]), _ARRAY))
+    """A DiagnosticArray with one status of level ERROR and one value."""
+    message = bytearray(ENCAPSULATION)
+    append_aligned(message, *divmod(stamp_ns, NANOSECONDS), "", 1)
+    message.append(2)
+    append_aligned(message, f"/{node}", error, "simulated", 1, "error", error)
+    return bytes(message)

@@ -1,7 +1,5 @@
 """Bags after a power cut: a recorder's writes and syncs are logged, and replayed up to 1,000 moments.
 
-    python -m trials power_cuts --seconds 20 --cuts 1000
-
 At a cut the disk has all that was synced before; of what was written since then each sector of 512 bytes is there or
 not, by chance, and so is each name. What is left is recovered by `straightcomp recover`. Printed: how much was lost,
 from the last message that is there up to the cut. The exit code is 1 if that is more than a second, if a message before
@@ -15,9 +13,10 @@ import random
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -72,42 +71,36 @@ class Disk:
         return found
 
 
-class _LoggedFile:
-    def __init__(self, file: Any, disk: Disk) -> None:
-        self._file, self._disk = file, disk
-        disk.created[str(file.name)] = time.time()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._file, name)
-
-    def write(self, data: Any) -> int:
-        done = int(self._file.write(data))
-        self._disk.writes[str(self._file.name)].append((time.time(), bytes(data[:done])))
-        return done
-
-
 @contextlib.contextmanager
 def logged() -> Iterator[Disk]:
     """Log what the block's recorders write and sync."""
-    disk, raw, calls = Disk(), open, {name: getattr(os, name) for name in ("fsync", "fdatasync")}
+    disk = Disk()
 
-    def logging(call: Any) -> Any:
-        def sync(descriptor: int) -> None:
+    def opened(path: Path, *words: Any, **options: Any) -> Any:
+        file = open(path, *words, **options)  # noqa: SIM115 - closed by the recorder
+        write, disk.created[str(path)] = file.write, time.time()
+
+        def logging_write(data: Any) -> int:
+            done = int(write(data))
+            disk.writes[str(path)].append((time.time(), bytes(data[:done])))
+            return done
+
+        file.write = logging_write
+        return file
+
+    def logging(sync: Callable[[int], None]) -> Callable[[int], None]:
+        def logging_sync(descriptor: int) -> None:
             begun, path = time.time(), os.readlink(f"/proc/self/fd/{descriptor}")
-            call(descriptor)
+            sync(descriptor)
             disk.syncs[path].append((begun, time.time()))
 
-        return sync
+        return logging_sync
 
-    setattr(mcap_output, "open", lambda *words, **options: _LoggedFile(raw(*words, **options), disk))  # noqa: B010
-    for name, call in calls.items():
-        setattr(os, name, logging(call))
-    try:
+    with (
+        patch.object(mcap_output, "open", opened, create=True),
+        patch.multiple(os, fsync=logging(os.fsync), fdatasync=logging(os.fdatasync)),
+    ):
         yield disk
-    finally:
-        delattr(mcap_output, "open")
-        for name, call in calls.items():
-            setattr(os, name, call)
 
 
 def record(folder: Path, seconds: float) -> tuple[Disk, float, float]:
@@ -131,10 +124,10 @@ def record(folder: Path, seconds: float) -> tuple[Disk, float, float]:
     return disk, began, ended
 
 
-def cut_off(folder: Path, seconds: float, cuts: int, seed: int) -> dict[str, Any]:
+def cut_off(folder: Path, seconds: float, cuts: int) -> dict[str, Any]:
     """Record for some seconds, cut at ``cuts`` moments, and recover; what was lost."""
     disk, began, ended = record(folder / "bag", seconds)
-    chance, lost, gaps, unreadable = random.Random(seed), [], 0, 0
+    chance, lost, gaps, unreadable = random.Random(1), [], 0, 0
     syncs = [end - begun for path, spans in disk.syncs.items() if path.endswith(".mcap") for begun, end in spans]
     for _ in tracked(range(cuts), "cuts"):
         cut = began + chance.random() * (ended - began)
@@ -169,15 +162,13 @@ def cut_off(folder: Path, seconds: float, cuts: int, seed: int) -> dict[str, Any
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of recording (default: %(default)s)")
-    parser.add_argument(
-        "--cuts", type=whole_number(1), default=1000, help="moments of a power cut (default: %(default)s)"
-    )
-    parser.add_argument("--seed", type=int, default=1, help="of moments and sectors (default: %(default)s)")
+    number = whole_number(1)
+    parser.add_argument("--cuts", type=number, default=1000, help="moments of a power cut (default: %(default)s)")
 
 
 def run(options: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory(prefix="power_cuts_") as name:
-        found = cut_off(Path(name), options.seconds, options.cuts, options.seed)
+        found = cut_off(Path(name), options.seconds, options.cuts)
     print_json(found)
     if found["more_than_allowed"] or found["unreadable"] or found["without_the_beginning"]:
         raise CommandFailed("a power cut took more than a second, or left a bag that cannot be read")

@@ -28,6 +28,6 @@ def test_what_was_not_synced_is_lost_and_what_was_is_not():
 
 
 def test_a_power_cut_takes_no_more_than_a_second_and_the_rest_is_recovered(tmp_path):
-    found = cut_off(tmp_path, 4.0, 40, 1)
+    found = cut_off(tmp_path, 4.0, 40)
     assert found["unreadable"] == found["without_the_beginning"] == 0
     assert found["more_than_allowed"] == 0 and found["syncs"] > 3, found
