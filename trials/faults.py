@@ -209,8 +209,6 @@ def row_of(trial: Trial, injected: int, times_ms: Sequence[float], failures: Seq
     return {
         "name": trial.name,
         "limit_ms": limit_ms,
-        "reaction": what.reaction,
-        "reset": what.reset,
         "injected": injected,
         "failures": failures,
         "detected": len(times_ms),

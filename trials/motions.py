@@ -262,7 +262,7 @@ def live(values: Any, plans: Sequence[Plan], folder: Path) -> tuple[list[float],
                 raise LaunchError(f"the graph does not go on (logs in {folder})")
 
         def enable() -> None:
-            stand.call(Trigger, "driver/reset_fault", Trigger.Request())
+            stand.call(Trigger, "driver/reset_fault")
             wait(stand.enable)
 
         def do(act: Act) -> Act:
@@ -274,11 +274,11 @@ def live(values: Any, plans: Sequence[Plan], folder: Path) -> tuple[list[float],
             elif act.what == "on":
                 enable()
             elif act.asked.end:
-                stand.call(Trigger, "driver/end_motion", Trigger.Request())
+                stand.call(Trigger, "driver/end_motion")
             else:
                 if not act.asked.hold:
                     stand.set("driver", {"override": act.asked.override})
-                stand.call(SetBool, "driver/hold", SetBool.Request(data=act.asked.hold))
+                stand.call(SetBool, "driver/hold", data=act.asked.hold)
             return now
 
         def follow(plan: Plan) -> tuple[Plan, int, int]:

@@ -1,10 +1,7 @@
 """Run the graph for a long time with random actions on it, and say whether it recovered from each.
 
-Starts driver, feedforward, controller and logger on the simulated machine with the stage moving. The actions:
-amplifier, maps, laws, refused parameters, recorder, lifecycle, SIGSTOP, SIGKILL and restart. After each action the
-safety state and the work of the whole graph are checked; at the end bags, descriptors, threads and memory. Half of the
-processes are killed in the first half, and only the others in the second, so that each node has a process that lives
-for half of the time. Exit code 0 only if nothing failed."""
+docs/safety.md has the actions, and what is checked after each of them and at the end. Exit code 0 only if nothing
+failed."""
 
 from __future__ import annotations
 
@@ -14,6 +11,7 @@ import os
 import random
 import shutil
 import signal
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -111,8 +109,9 @@ def run(options: argparse.Namespace) -> int:
     with output(options) as folder:
         # A copy of the map: a different one might lead the platform out of its travel.
         copy = shutil.copyfile(find_survey(stage.guide.file), folder / "another_map.csv")
-        with Stand(folder, values, options.composed) as stand, stalls.watched(folder / "stalls.txt", priority):
-            stalled = partial(stalls.total_ms, folder / "stalls.txt")
+        with Stand(folder, values, options.composed) as stand:
+            stand.graph.start_program("stalls", [sys.executable, "-m", stalls.__name__, str(priority)])
+            stalled = partial(stalls.total_ms, stand.graph.log("stalls"))
             soak = Soak(stand, rng, stage.rate, stalled, (stage.guide.file, str(copy)))
             soak.run(60.0 * options.minutes)
         bags, missing = missing_in_bags(folder, soak.recorded)
@@ -139,7 +138,7 @@ class Soak:
             deactivated or restarted.
         counts: how often each kind of action was done; faults latched as required or permitted, and those that the
             graph latched by itself while this computer stalled (without a stall they are failures), by name.
-        enable_s, back_s: times from a request for the amplifier to 'on', and from an action to normal operation.
+        back_s: times from an action to normal operation.
         looks: at each process from the end of its warm-up on, by its name and id, while the whole graph works.
     """
 
@@ -150,7 +149,7 @@ class Soak:
         self.killable: Sequence[str] = ()
         self.recorded: list[tuple[int, int]] = []
         self.counts = {name: Counter[str]() for name in ("actions", "faults", "faults_in_stalls")}
-        self.enable_s, self.back_s = list[float](), list[float]()
+        self.back_s = list[float]()
         self.looks: dict[tuple[str, int], list[Look]] = {}
         self._interrupted_ns = self._recording_ns = 0
         self._report: tuple[int, int, int] | None = None
@@ -213,7 +212,6 @@ class Soak:
         return {
             **self.counts,
             "answers_lost": self.stand.answers_lost,
-            "longest_enable_s": max(self.enable_s, default=None),
             "longest_back_to_work_s": max(self.back_s, default=None),
             "recorded_s": sum(end - begin for begin, end in self.recorded) * 1e-9,
             "processes": [shown for shown, _ in processes],
@@ -232,21 +230,6 @@ class Soak:
         if 0 < self._recording_ns < end_ns:
             self.recorded.append((self._recording_ns, end_ns))
         self._recording_ns = 0
-
-    def ask(self, kind: Any, service: str, **request: Any) -> Any:
-        """Call a service; its answer. LaunchError without one."""
-        return _answered(self.stand.call(kind, service, kind.Request(**request)), service)
-
-    def set(self, node: str, values: Mapping[str, Any]) -> tuple[Any, Mapping[str, Any], Mapping[str, Any]]:
-        """Set parameters of a node; its result, and their values before and after. LaunchError without an answer."""
-        self.note(f"  {node}: {values}")
-        before = self._values(node, values)
-        result = _answered(self.stand.set(node, values), node)
-        return result, before, self._values(node, values)
-
-    def _values(self, node: str, names: Mapping[str, Any]) -> dict[str, Any]:
-        answer = self.ask(GetParameters, f"{node}/get_parameters", names=list(names))
-        return dict(zip(names, map(parameter_value_to_python, answer.values), strict=True))
 
     def chosen(self, names: Sequence[str], lost_s: float = 0.0) -> str:
         """One of the processes, to be stopped or killed now, of whose recording the last ``lost_s`` may be lost."""
@@ -309,16 +292,10 @@ class Soak:
                     self._recording_ns = before[0]
 
 
-def _answered(answer: Any, who: str) -> Any:
-    if answer is None:
-        raise LaunchError(f"'{who}' does not answer")
-    return answer
-
-
 def amplifier_off_and_on(soak: Soak) -> None:
     """Amplifier off at once and without a fault; on again within :data:`ENABLE_LIMIT_S`."""
     stand = soak.stand
-    soak.ask(SetBool, "driver/enable", data=False)
+    stand.call(SetBool, "driver/enable", data=False)
     if not stand.until(lambda: stand.condition == "off", 1.0):
         if stand.condition == "fault":
             # It was latched before the request arrived; no action caused it.
@@ -326,11 +303,9 @@ def amplifier_off_and_on(soak: Soak) -> None:
         stand.fail(f"the amplifier is '{stand.condition}' after it was switched off")
     stand.spin(soak.rng.uniform(0.0, 0.5))
     begin = time.monotonic()
-    answer = soak.ask(SetBool, "driver/enable", data=True)
+    answer = stand.call(SetBool, "driver/enable", data=True)
     on, seconds = stand.until(lambda: stand.condition == "on", ENABLE_LIMIT_S), time.monotonic() - begin
-    if on and seconds <= ENABLE_LIMIT_S:
-        soak.enable_s.append(seconds)
-    else:
+    if not on or seconds > ENABLE_LIMIT_S:
         words = answer.message or f"fault {stand.fault}"
         stand.fail(f"'{stand.condition}' {seconds:.2f} s after enable; allowed: on within 2 s ({words})")
 
@@ -338,14 +313,20 @@ def amplifier_off_and_on(soak: Soak) -> None:
 def set_parameters(draw: Callable[[Soak], tuple[str, Mapping[str, Any]]], refused: bool, soak: Soak) -> None:
     """Set parameters of a node: others with which the platform is held; or some of which one is wrong, a request that
     must be ``refused`` as a whole, and with a reason."""
-    node, values = draw(soak)
-    soak.stand.spin(_FADE_S)
-    result, before, after = soak.set(node, values)
+    stand, (node, values) = soak.stand, draw(soak)
+
+    def present() -> dict[str, Any]:
+        answer = stand.call(GetParameters, f"{node}/get_parameters", names=list(values))
+        return dict(zip(values, map(parameter_value_to_python, answer.values), strict=True))
+
+    stand.spin(_FADE_S)
+    soak.note(f"  {node}: {values}")
+    before, result, after = present(), stand.set(node, values), present()
     if result.successful is refused or (refused and not result.reason):
-        soak.stand.fail(f"{node} {'took' if result.successful else 'refused'} {values}: '{result.reason}'")
+        stand.fail(f"{node} {'took' if result.successful else 'refused'} {values}: '{result.reason}'")
     elif after != (before if refused else values):
-        soak.stand.fail(f"{node} had {before}, was asked for {values}, and has {after}")
-    soak.stand.spin(_FADE_S)
+        stand.fail(f"{node} had {before}, was asked for {values}, and has {after}")
+    stand.spin(_FADE_S)
 
 
 def _law(soak: Soak) -> tuple[str, Mapping[str, Any]]:
@@ -369,7 +350,7 @@ def ask_trigger(services: Sequence[str], between_s: tuple[float, float], soak: S
         soak.interrupt()
     for service in services:
         lost = soak.stand.answers_lost
-        answer = soak.ask(Trigger, service)
+        answer = soak.stand.call(Trigger, service)
         # A request whose answer was lost was executed all the same; the repeated request is then refused.
         if not answer.success and soak.stand.answers_lost == lost:
             soak.stand.fail(f"{service} was refused: {answer.message}")
@@ -405,15 +386,14 @@ def down_and_up(soak: Soak) -> None:
     """Amplifier off, all nodes inactive in the order of the signals, and back: no fault, all active again."""
     stand, order = soak.stand, tuple(soak.stand.heartbeats.states)
     soak.interrupt()
-    soak.ask(SetBool, "driver/enable", data=False)
+    stand.call(SetBool, "driver/enable", data=False)
     for transition, state, names in (
         (Transition.TRANSITION_DEACTIVATE, "inactive", order[::-1]),
         (Transition.TRANSITION_ACTIVATE, "active", order),
     ):
-        request = ChangeState.Request(transition=Transition(id=transition))
         for name in names:
             # Check the node's reported state: the answer may be lost, and a repeated request is then refused.
-            stand.call(ChangeState, f"{name}/change_state", request, repeated=False)
+            stand.request(ChangeState, f"{name}/change_state", transition=Transition(id=transition))
             if not stand.until(lambda: stand.heartbeats.states[name] == state, _PATIENCE_S):  # noqa: B023
                 stand.fail(f"{name} is {stand.heartbeats.states[name]}; it must be {state}")
         stand.spin(soak.rng.uniform(0.0, 0.3))

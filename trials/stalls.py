@@ -17,29 +17,17 @@ import gc
 import json
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 _SLEEP_NS, _NOTED_NS = 2_000_000, 5_000_000
 
 
-@contextlib.contextmanager
-def watched(file: Path, priority: int) -> Iterator[subprocess.Popen[bytes]]:
-    """The watch of all CPUs, at a SCHED_FIFO priority (0: normal scheduling), which writes to ``file``."""
-    command = [sys.executable, "-m", "trials.stalls", str(priority)]
-    with file.open("wb") as output, subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
 def total_ms(file: Path, begin_ns: int, end_ns: int) -> float:
-    """Total stall time in ms, of all that overlap this time in ns since the epoch, of the CPU with most."""
+    """Total stall time in ms by the watch that writes to ``file``, of all that overlap this time in ns since the epoch,
+    of the CPU with most."""
     totals: dict[str, float] = {}
     # The last line may be incomplete.
     for line in file.read_text().rpartition("\n")[0].splitlines():
@@ -49,13 +37,13 @@ def total_ms(file: Path, begin_ns: int, end_ns: int) -> float:
     return max(totals.values(), default=0.0)
 
 
-def _watch(cpu: int, priority: int, parent: int) -> None:
+def _watch(cpu: int, priority: int) -> None:
     os.sched_setaffinity(0, {cpu})
     if priority:
         with contextlib.suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     before = time.monotonic_ns()
-    while os.getppid() == parent:
+    while True:
         time.sleep(_SLEEP_NS * 1e-9)
         late_ns = time.monotonic_ns() - before - _SLEEP_NS
         if late_ns >= _NOTED_NS:
@@ -100,7 +88,7 @@ if __name__ == "__main__":
     if sys.argv[2:]:
         print(json.dumps(plain_loop(*map(int, sys.argv[1:]))))
         sys.exit()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     for one in os.sched_getaffinity(0):
-        # They end with the parent process.
-        threading.Thread(target=_watch, args=(one, int(sys.argv[1]), os.getppid())).start()
+        threading.Thread(target=_watch, args=(one, int(sys.argv[1])), daemon=True).start()
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.pause()

@@ -87,7 +87,7 @@ class Stand:
         self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
         self._file.write_text(as_parameter_file(values))
         os.environ.update(isolated_environment())
-        self._graph = Graph(folder)
+        self.graph = Graph(folder)
         self.failures: list[str] = []
         self.about = ""
         self.process_of = {name: COMPOSED if composed and name in IN_THE_LOOP else name for name in RECORDED}
@@ -129,13 +129,13 @@ class Stand:
         policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
         _leave_real_time()
         try:
-            return self._graph.exit_code(name)
+            return self.graph.exit_code(name)
         finally:
             os.sched_setscheduler(0, policy, priority)
 
     def __exit__(self, *_: object) -> None:
         _leave_real_time()
-        self._graph.stop()
+        self.graph.stop()
         self.node.destroy_node()
         rclpy.try_shutdown()
 
@@ -152,7 +152,7 @@ class Stand:
         for node, process in self.process_of.items():
             self.heartbeats.ages[node] = math.inf if process == name else self.heartbeats.ages[node]
         self.started[name] = time.monotonic()
-        self.processes[name] = self._graph.start(name, parameters, self._file, command=command).pid
+        self.processes[name] = self.graph.start(name, parameters, self._file, command=command).pid
 
     def restart(self, name: str) -> None:
         """Start a killed node again once its process has ended; a new driver's amplifier must be off."""
@@ -170,7 +170,7 @@ class Stand:
         """Stop all nodes as an operator does, the logger last; their exit codes, negative for one that was killed."""
         _leave_real_time()
         others = [name for name in self.names if name != "logger"]
-        return self._graph.stop(others) | self._graph.stop(["logger"])
+        return self.graph.stop(others) | self.graph.stop(["logger"])
 
     @property
     def bag(self) -> Path:
@@ -216,7 +216,7 @@ class Stand:
 
     def enable(self) -> bool:
         """Request the amplifier; returns whether it was switched on."""
-        answer = self.call(SetBool, "driver/enable", SetBool.Request(data=True), repeated=False)
+        answer = self.request(SetBool, "driver/enable", data=True)
         return answer is not None and answer.success
 
     def fail(self, words: str) -> None:
@@ -242,10 +242,10 @@ class Stand:
         while time.monotonic() < deadline:
             self.inject("")
             if not self.until(lambda: self.active, _ANSWER_S):
-                self._graph.check(self.names)
+                self.graph.check(self.names)
                 continue
             self.spin(0.03)
-            self.call(Trigger, "driver/reset_fault", Trigger.Request(), repeated=False)
+            self.request(Trigger, "driver/reset_fault")
             if self._sends:
                 self._sends -= 1
                 self.move()
@@ -271,29 +271,30 @@ class Stand:
         """Whether all nodes are."""
         return not self.heartbeats.silent() and set(self.heartbeats.states.values()) == {"active"}
 
-    def call(self, kind: Any, service: str, request: Any, repeated: bool = True) -> Any:
-        """Call a service of a node, up to :data:`_REQUESTS` times: one that has just started may lose the request or
-        its answer. Returns that, or None without one, at once from a node that has ended."""
+    def request(self, kind: Any, service: str, **fields: Any) -> Any:
+        """Call a service of a node with these fields once; its answer, or None without one, at once from a node that
+        has ended."""
         if service not in self._clients:
             client = self._clients[service] = ServiceClient(self.node, kind, service)
             self.until(lambda: client.ready, _ANSWER_S)
         process = self.process_of[service.split("/")[0]]
-        for _ in range(_REQUESTS if repeated else 1):
-            future = self._clients[service].call(request)
-            self.until(lambda: future.done() or self.exit_code(process) is not None, _REPLY_S)  # noqa: B023
-            if future.done():
-                return future.result()
-            if self.exit_code(process) is not None:
-                break
+        future = self._clients[service].call(kind.Request(**fields))
+        if not self.until(lambda: future.done() or self.exit_code(process) is not None, _REPLY_S):
             self.answers_lost += 1
-        return None
+        return future.result()
+
+    def call(self, kind: Any, service: str, **fields: Any) -> Any:
+        """The answer of a service of a node, of up to :data:`_REQUESTS` requests: a node that has just started may lose
+        the request or its answer. LaunchError without one."""
+        for _ in range(_REQUESTS):
+            if (answer := self.request(kind, service, **fields)) is not None:
+                return answer
+        raise LaunchError(f"'{service}' does not answer")
 
     def set(self, node: str, values: Mapping[str, Any]) -> Any:
-        """Set parameters of a node, all or none; returns the node's result, or None without an answer."""
+        """Set parameters of a node, all or none; returns the node's result."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        request = SetParametersAtomically.Request(parameters=parameters)
-        answer = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
-        return answer and answer.result
+        return self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", parameters=parameters).result
 
     def _on_safety_state(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}
