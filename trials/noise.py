@@ -8,6 +8,7 @@ import argparse
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,6 @@ from numpy.typing import NDArray
 
 from scripts.stage_files import STAGES
 from straightcomp_ros.analysis.metrics import straightness_over
-from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import offsets
@@ -23,7 +23,6 @@ from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
-from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey
 from straightcomp_ros.straightness.survey_table import WAYS, Direction
 
@@ -32,6 +31,8 @@ GUIDE = load_map(MapParameters("config/guide_synthetic.csv", smooth="none"))
 FINE = np.linspace(*GUIDE.span, 17_601)
 JOINT, KINK = 0.9, 5e-5
 """x in m of the joint, and the change of the guide's slope there in m/m: about the largest slope of the guide."""
+_DRAWS = 9
+"""Surveys of each kind."""
 SPACINGS_MM, NOISES_UM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), (0.02, 0.05, 0.2, 0.5)
 _TRAVEL = 5e-3
 """m, wide enough for the slopes that noise leaves at the ends."""
@@ -48,9 +49,9 @@ class Kind(NamedTuple):
     stage: str = ""
 
     def true(self, x: Array, way: Direction) -> Array:
-        """δ in m of the guide at ``x`` in m on the way."""
+        """δ in m of the guide at ``x`` in m on the way; its hysteresis is a wave of 1.5 m."""
         half = 0.5 if way == "forward" else -0.5
-        return guide(x, self.kink, self.base) + half * self.hysteresis * settling(x)
+        return guide(x, self.kink, self.base) + half * self.hysteresis * np.sin(np.pi * x / 1.5) ** 2
 
     @property
     def fine(self) -> Array:
@@ -83,22 +84,15 @@ def kinds() -> dict[str, Kind]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--draws", type=whole_number(1), default=9, metavar="N", help="surveys of each kind (default: %(default)s)")
-    add("--guide", choices=kinds(), help="this guide alone")
-    add("--spacing", type=float, nargs="+", default=SPACINGS_MM, metavar="MM", help="default: %(default)s")
     add("--noise", type=float, nargs="+", default=NOISES_UM, metavar="UM", help="default: %(default)s")
     add("--residuals", action="store_true", help="straightness by simulation, nine starts, in place of the map's error")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print for each guide, spacing and noise the median errors p-p in µm, and the coverage of the 95 % band; or the
-    residual straightness of strokes."""
-    rows = []
-    for name, kind in kinds().items():
-        for spacing in options.spacing if options.guide in (None, name) else ():
-            for noise in options.noise:
-                found = (residuals if options.residuals else errors)(kind, spacing, noise, options.draws)
-                rows.append({"guide": name, "spacing_mm": spacing, "noise_um": noise, **found})
+    """Print for each guide, spacing and noise the median errors p-p in µm, or the residual straightness of strokes."""
+    figures, rows = residuals if options.residuals else errors, []
+    for (name, kind), spacing, noise in product(kinds().items(), SPACINGS_MM, options.noise):
+        rows.append({"guide": name, "spacing_mm": spacing, "noise_um": noise, **figures(kind, spacing, noise)})
     print_json({"rows": rows})
 
 
@@ -121,25 +115,20 @@ def maps_of(
     }
 
 
-def errors(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
-    """Medians over ``draws`` surveys and both ways, by name; the coverage is at the survey's own points."""
-    found, coverage = defaultdict[str, list[float]](list), []
-    for seed in range(draws):
-        maps = maps_of(kind, MapParameters(), spacing_mm, noise_um, seed)
-        x = maps["auto"][0].runs[0].x
-        for way in WAYS:
-            for name, (survey, parameters) in maps.items():
-                straightness = StraightnessMap(survey, parameters)
+def errors(kind: Kind, spacing_mm: float, noise_um: float) -> dict[str, float]:
+    """Medians over the surveys and both ways, by name."""
+    found = defaultdict[str, list[float]](list)
+    for seed in range(_DRAWS):
+        for name, (survey, parameters) in maps_of(kind, MapParameters(), spacing_mm, noise_um, seed).items():
+            straightness = StraightnessMap(survey, parameters)
+            for way in WAYS:
                 error = straightness.deviations(kind.fine, way) - kind.true(kind.fine, way)
                 found[name].append(float(np.ptp(error)) * 1e6)
-                if name == "auto":
-                    left = np.abs(straightness.deviations(x, way) - kind.true(x, way))
-                    coverage.append(float(np.mean(left <= NORMAL_95 * straightness.noise.band(x))))
-    return {name: float(np.median(pp)) for name, pp in found.items()} | {"coverage": float(np.mean(coverage))}
+    return {name: float(np.median(pp)) for name, pp in found.items()}
 
 
-def residuals(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dict[str, float]:
-    """Residual straightness in µm of a cycle, the median over ``draws`` surveys and nine starts, with these maps. The
+def residuals(kind: Kind, spacing_mm: float, noise_um: float) -> dict[str, float]:
+    """Residual straightness in µm of a cycle, the median over the surveys and nine starts, with these maps. The
     hysteresis of the true guide changes sides within a quarter of the travel that the reference takes for it."""
     values, law = by_node(shipped_parameters(stage=kind.stage or None)), "smc_observer"
     scenario, found = make_scenario(values, [law]), defaultdict[str, list[float]](list)
@@ -147,7 +136,7 @@ def residuals(kind: Kind, spacing_mm: float, noise_um: float, draws: int) -> dic
     truth = Survey(tuple(Run("1", way, points, kind.true(points, way)) for way in WAYS))
     exact = replace(base, travel=_TRAVEL, smooth="none", direction=kind.direction, reversal=base.reversal / 4.0)
     true = StraightnessMap(truth, exact)
-    for seed in range(draws):
+    for seed in range(_DRAWS):
         for name, (survey, parameters) in maps_of(kind, base, spacing_mm, noise_um, seed).items():
             one = replace(scenario, followed=replace(scenario.followed, guide=parameters), survey=survey)
             stroke = one.stroke()
@@ -171,11 +160,6 @@ def best_spline(x: Array, mean: Array, fine: Array, true: Array) -> Callable[[Ar
 def guide(x: Array, kink: float = 0.0, base: StraightnessMap = GUIDE) -> Array:
     """δ of the shipped guide or of ``base`` in m, with a change of slope of ``kink`` in m/m at the joint."""
     return np.asarray(base.deviations(x) + 0.5 * kink * np.abs(x - JOINT))
-
-
-def settling(x: Array) -> Array:
-    """Hysteresis of a guide over x in m as a share of its largest value: a wave of 1.5 m."""
-    return np.asarray(np.sin(np.pi * x / 1.5) ** 2)
 
 
 def surveyed(

@@ -167,7 +167,7 @@ def test_more_runs_leave_less():
     [("shipped", 5.0, 0.2), *(pytest.param(*each, marks=pytest.mark.nightly) for each in TABLE)],
 )
 def test_the_error_is_within_1_2_of_what_the_best_smoothing_leaves_that_knows_the_guide(kind, spacing, noise):
-    found = errors(kinds()[kind], spacing, noise, 9)
+    found = errors(kinds()[kind], spacing, noise)
     assert found["auto"] <= 1.2 * found["best"]
 
 
