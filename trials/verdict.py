@@ -13,7 +13,6 @@ their verdict says no cause.
 from __future__ import annotations
 
 import argparse
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -21,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.random import Generator, default_rng
 
+from scripts.design_table import found_gains
 from scripts.stage_files import STAGES, stage_names
 from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
 from straightcomp_ros.analysis.metrics import evaluate
@@ -108,11 +108,9 @@ def run(options: argparse.Namespace) -> None:
 def sound(random: Generator) -> Drawn:
     """A run of a stage as identified."""
     name = str(random.choice([name for name in stage_names() if name != "infeasible"]))
-    values: dict[str, dict[str, Any]] = {node: {} for node in ("driver", "feedforward", "controller", "stage")}
-    values |= {node: dict(section) for node, section in read_stage_file(STAGES / f"{name}.yaml").items()}
+    values = read_stage_file(STAGES / f"{name}.yaml")
     scenario = make_scenario(values, [_LAW])
-    designed = json.loads((STAGES / "found_gains.json").read_text(encoding="utf-8")).get(name)
-    values["controller"] |= designed or closed_form(scenario, _LAW)
+    values["controller"] |= found_gains().get(name) or closed_form(scenario, _LAW)
     stage = scenario.description
     length = stage.motion.stroke * random.uniform(0.15, 0.6)
     values["stage"] |= {
