@@ -41,7 +41,7 @@ from trials.rig import tracked
 SUMMARY = "µs per CAN frame, bus faults injected and found"
 _REPEATS, _CALLS = 25, 1000
 _RATE = 0.02
-_TOGETHER, _CUT = 0.002, 0.0002
+_TOGETHER = {kind: 0.0002 if kind == "cut" else 0.002 for kind in KINDS}
 """Rates of all kinds together, for a closed loop that stays on most of the time."""
 COUNTED = tuple(kind for kind in KINDS if kind != "cut")
 """Kinds that damage one frame. A cut affects the link, and is tested on a real one."""
@@ -60,32 +60,28 @@ _START_NS = 1_700_000_000_000_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    add, kind = parser.add_argument, whole_number(1000)
-    add("--frames", type=kind, default=20_000, help="samples sent for each kind of fault (default: %(default)s)")
-    add("--seed", type=int, default=1, help="seed of the faults (default: %(default)s)")
+    kind, text = whole_number(1000), "samples sent for each kind of fault (default: %(default)s)"
+    parser.add_argument("--frames", type=kind, default=20_000, help=text)
 
 
 def run(options: argparse.Namespace) -> int:
-    driver = node_parameters("driver", chosen_parameters(options))
-    can, guide, how = driver.can, driver.guide(), {"frames": options.frames, "seed": options.seed}
+    driver, frames = node_parameters("driver", chosen_parameters(options)), options.frames
+    can, guide = driver.can, driver.guide()
     # Both kinds of bus of the package's own DBC file, or the one of another.
     boards = {Path(can.dbc).stem: can} if can.dbc else {"classic": replace(can, fd=False), "fd": replace(can, fd=True)}
     costs, loops, wrong = dict[str, dict[str, float]](), dict[str, dict[str, Any]](), 0
-    counts = {kind: {"injected": 0, "detected": 0} for kind in COUNTED}
-    together = {kind: _CUT if kind == "cut" else _TOGETHER for kind in KINDS}
+    counts = {kind: Counter[str](injected=0, detected=0) for kind in COUNTED}
     for bus, board in boards.items():
         costs |= codec_costs(board.make_wire())
         for kind in tracked(COUNTED, bus):
-            trial = run_trial({kind: _RATE}, board, **how)
-            counts[kind]["injected"] += trial.injected[kind]
-            counts[kind]["detected"] += trial.detected(kind)
+            trial = run_trial(kind, board, frames)
+            counts[kind].update(injected=trial.injected, detected=trial.detected)
             wrong += trial.unflagged_wrong
-        loop = ServoTrial(together, guide, board, **how)
+        loop = ServoTrial(_TOGETHER, guide, board, frames)
         wrong += loop.unflagged_wrong
-        figures = {"state": loop.state.value, "on": loop.on, "latched": loop.latched, "unsafe": loop.unsafe}
-        loops[bus] = {"frames": options.frames, "injected": sum(loop.injected.values()), **figures}
-    shown = {"codec": costs, "frames": options.frames, "faults": counts, "closed_loop": loops}
-    print_json({"dbc": can.make_wire().dbc.file, "fd": can.fd, **shown, "unflagged_wrong": wrong})
+        loops[bus] = {name: getattr(loop, name) for name in ("on", "latched", "unsafe")}
+        loops[bus]["injected"] = sum(loop.injected.values())
+    print_json({"codec": costs, "frames": frames, "faults": counts, "closed_loop": loops, "unflagged_wrong": wrong})
     missed = any(count["injected"] != count["detected"] for count in counts.values())
     return int(missed or wrong > 0 or any(loop["unsafe"] for loop in loops.values()))
 
@@ -104,42 +100,20 @@ def codec_costs(wire: Wire) -> dict[str, dict[str, float]]:
 
 
 class Trial(NamedTuple):
-    """Faults of the encoder's frames, and what the receiver made of the frames.
+    """Faults of the encoder's frames, how many of them the receiver counted, and the samples that it accepted;
+    ``unflagged_wrong`` are those with a number, position or time of no sample that was taken."""
 
-    ``unflagged_wrong`` counts samples accepted with a number, position or time of no sample that was taken.
-    """
-
-    injected: Mapping[str, int]
+    injected: int
+    detected: int
+    accepted: int
     unflagged_wrong: int
-    receiver: Receiver
-
-    def detected(self, kind: str) -> int:
-        """Number of faults of a kind that the receiver counted, in a trial with this kind alone."""
-        counts, sequence, sets = self.receiver.counts, self.receiver.sequence, self.receiver.sets
-        checks = sum(counts[check] for check in ("length", "crc", "alive", "state", "implausible"))
-        return {
-            "drop": sequence.lost,
-            "duplicate": sequence.repeated + sets.repeated,
-            "reorder": sequence.out_of_order + sets.out_of_order,
-            "wrong_id": counts["foreign"] + checks,
-            "error_frame": counts["error_frames"],
-            "remote": counts["remote"],
-            "flood": counts["foreign"] // FLOOD,
-        }.get(kind, checks)
 
 
-def position(index: int) -> tuple[int, int]:
-    """Counts of x and y at the sample ``index``, to and fro: the stage at 0.3 m/s, the platform at 1.4 mm/s."""
-    x, y = 17_600_000, 440
-    return x - abs(1500 * index % (2 * x) - x), y // 2 - abs(7 * index % (2 * y) - y)
-
-
-def run_trial(rates: Mapping[str, float], board: CanParameters, *, frames: int = 20_000, seed: int = 1) -> Trial:
-    """Send ``frames`` samples of a board, at ``rates`` of :class:`~straightcomp_ros.hardware.can.hub.Faults`
-    once the clock has settled; ``seed`` is that of jitter and faults."""
+def run_trial(kind: str, board: CanParameters, frames: int) -> Trial:
+    """Send ``frames`` samples of a board, with faults of one kind alone once the clock has settled."""
     # The error counter would end a real run; here every single fault must be seen.
     receiver = Receiver(replace(board, strike_limit=1000, sample_memory=100_000), StageParameters())
-    faults, chance = Faults(rates, seed), random.Random(seed)
+    faults, chance = Faults({kind: _RATE}, seed=1), random.Random(1)
     period_ns = 500_000 * (1.0 + _DRIFT)
     for k in range(frames):
         arrival_ns = _START_NS + round(k * period_ns) + _TRANSIT_NS + round(chance.expovariate(1 / 40e3))
@@ -150,15 +124,36 @@ def run_trial(rates: Mapping[str, float], board: CanParameters, *, frames: int =
                 receiver.take(arrived, arrived.stamp_ns)
     wrong = 0
     for index, sample, _ in receiver.samples:
-        x, y = position(index)
-        good = abs(sample.x - x * _COUNT) < _ROUNDED and abs(sample.y - y * _COUNT) < _ROUNDED
+        x, y = _position(index)
+        good = abs(sample.x - x) < _ROUNDED and abs(sample.y - y) < _ROUNDED
         late_ns = sample.stamp_ns - _START_NS - round(index * period_ns) - _TRANSIT_NS
         wrong += not (good and 0 <= index < frames and abs(late_ns) < 100_000)
-    return Trial(faults.injected, wrong, receiver)
+    return Trial(faults.injected[kind], _detected(receiver, kind), len(receiver.samples), wrong)
+
+
+def _detected(receiver: Receiver, kind: str) -> int:
+    counts, sequence, sets = receiver.counts, receiver.sequence, receiver.sets
+    checks = sum(counts[check] for check in ("length", "crc", "alive", "state", "implausible"))
+    return {
+        "drop": sequence.lost,
+        "duplicate": sequence.repeated + sets.repeated,
+        "reorder": sequence.out_of_order + sets.out_of_order,
+        "wrong_id": counts["foreign"] + checks,
+        "error_frame": counts["error_frames"],
+        "remote": counts["remote"],
+        "flood": counts["foreign"] // FLOOD,
+    }.get(kind, checks)
+
+
+def _position(index: int) -> tuple[float, float]:
+    """x and y in m at the sample ``index``, to and fro: the stage at 0.3 m/s, the platform at 1.4 mm/s."""
+    x, y = 17_600_000, 440
+    x_counts, y_counts = x - abs(1500 * index % (2 * x) - x), y // 2 - abs(7 * index % (2 * y) - y)
+    return x_counts * _COUNT, y_counts * _COUNT
 
 
 def _frames(wire: Wire, index: int, stamp_ns: int) -> Iterator[Frame]:
-    x, y = (counts * _COUNT for counts in position(index))
+    x, y = _position(index)
     counter, fault = index % wire.number_modulus, wire.fault_codes[BoardFault.NONE]
     for frames in wire.reports.values():
         if index % frames.every == 0:
