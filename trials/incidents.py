@@ -30,7 +30,7 @@ from straightcomp_ros.offline.incident import NO_REASON, pack
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
-from straightcomp_ros.safety.faults import Fault, Finding
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.safety.watch import ErrorWatch, SampleWatch
 from trials.faulty_machine import FaultyHardware
 
@@ -74,11 +74,13 @@ class _Watched(FaultyHardware):
     def read(self, now_ns: int) -> Any:
         if now_ns > _AT_S * 1e9 and not self.injected:
             self.inject(_INJECTED.get(self._wanted, ""))
-        found = super().read(now_ns)
+        found, wanted = super().read(now_ns), self._wanted
         for sample, _ in found:
             finding = self._watch.check(sample, self._commanded)
             self._watch.hold()
-            if finding and finding[0] is self._wanted:
+            if wanted not in _INJECTED and sample.stamp_ns >= _AT_S * 1e9:
+                finding = wanted, wanted.value.means
+            if finding and finding[0] is wanted:
                 raise _Found(sample, finding[1])
         return found
 
@@ -142,12 +144,9 @@ def record_fault(fault: Fault, bag: Path) -> None:
     watch = SampleWatch(driver.watch, driver.stage)
 
     def observe(sample: Sample, truth: Any, reference: Any, command: Any, age: float) -> None:
-        due = sample.stamp_ns >= _AT_S * 1e9
-        found: Finding | None = (fault, fault.value.means) if due and fault not in _INJECTED else None
-        if fault is Fault.FOLLOWING_ERROR:
-            found = errors.check(reference[0] - sample.y, amplifier_on=True)
-        if found:
-            raise _Found(sample, found[1])
+        finding = errors.check(reference[0] - sample.y, amplifier_on=True)
+        if finding and finding[0] is fault:
+            raise _Found(sample, finding[1])
         run.add(sample, truth, reference, command, age)
 
     simulation = Simulation(values, wiring=lambda machine: _Watched(machine, watch, fault))
