@@ -10,30 +10,30 @@ Its gains follow its own source, Levant's k1 = 1.5 √L and k2 = 1.1 L. What is 
 bound) was searched by --search: log-uniform draws, judged by the largest error on a short stroke over the three
 machines of the table. Our laws run with their shipped parameters, which were not searched on these machines.
 
-Each error is the true one, peak to peak, over the whole stroke forward and back: median of nine starts (min to max).
+Printed as one JSON object: by law and machine the figures of :func:`scripts.law_table.figures_of`, of the whole stroke
+forward and back from nine starts.
 """
 
 import argparse
 import json
 import math
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from scripts.law_table import figures_of
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.model.actuator import Actuator, control_current
-from straightcomp_ros.offline.starts import Spread, Values, with_values
+from straightcomp_ros.offline.starts import Values, with_values
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, node_parameters
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
+from trials.rig import tracked
 
 INSTALL = (
     "opensmc is not installed: run 'pip install opensmc' in the environment of straightcomp_ros (it needs numpy only)"
@@ -55,23 +55,16 @@ class Design(NamedTuple):
     observer: float
 
 
-class Ranges(NamedTuple):
-    """Of a search, (lowest, highest) of each number of a design."""
-
-    surface: tuple[float, float]
-    disturbance_rate: tuple[float, float]
-    observer: tuple[float, float]
-
-
 DESIGNS = {
     "opensmc, ESO": Design(956.0, 31.4, 464.0),
     "opensmc, Levant": Design(439.0, 3.26, 1.24),
 }
 """As found by --search 60."""
 RANGES = {
-    "opensmc, ESO": Ranges((200.0, 1500.0), (5.0, 100.0), (200.0, 500.0)),
-    "opensmc, Levant": Ranges((200.0, 1000.0), (2.0, 20.0), (1.0, 5.0)),
+    "opensmc, ESO": ((200.0, 1500.0), (5.0, 100.0), (200.0, 500.0)),
+    "opensmc, Levant": ((200.0, 1000.0), (2.0, 20.0), (1.0, 5.0)),
 }
+"""Of a search, (lowest, highest) of each number of a design."""
 
 
 class Peer:
@@ -137,7 +130,7 @@ def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
     short = with_values(values, "stage", SHORT)
     best, least = DESIGNS[name], math.inf
     tried = [Design(*(math.exp(random.uniform(*np.log(ends))) for ends in RANGES[name])) for _ in range(draws)]
-    for design in track([best, *tried], f"searching {name}", console=Console(stderr=True)):
+    for design in tracked([best, *tried], f"searching {name}"):
         worst = 0.0
         for node, changes in MACHINES.values():
             try:
@@ -154,47 +147,20 @@ def search(name: str, values: Values, draws: int) -> tuple[Design, float]:
 
 def compare(values: Values) -> dict[str, dict[str, dict[str, Any]]]:
     """Figures by law and machine: ours first, then the peer's."""
-    jobs = [(law, machine) for law in (*LAWS, *DESIGNS) for machine in MACHINES]
-    found: dict[str, dict[str, dict[str, Any]]] = {}
-    for law, machine in track(jobs, "running the strokes", console=Console(stderr=True)):
-        node, changes = MACHINES[machine]
-        varied = with_values(values, node, changes)
-        if law in DESIGNS:
-            figures = figures_of(varied, peer_law(law, DESIGNS[law], varied))
-        else:
-            figures = figures_of(with_values(varied, "controller", {"control.law": law}))
-        found.setdefault(law, {})[machine] = figures
+    found = defaultdict[str, dict[str, dict[str, Any]]](dict)
+    for law in tracked((*LAWS, *DESIGNS), "laws"):
+        for machine, (node, changes) in MACHINES.items():
+            varied = with_values(values, node, changes)
+            if law in DESIGNS:
+                found[law][machine] = figures_of(varied, peer_law(law, DESIGNS[law], varied))
+            else:
+                found[law][machine] = figures_of(with_values(varied, "controller", {"control.law": law}))
     return found
-
-
-def to_display(found: Mapping[str, Mapping[str, dict[str, Any]]]) -> list[dict[str, Any]]:
-    """One row for each law, unit in each name."""
-    return [
-        {
-            "law": law,
-            "pp_um": {machine: figures["pp_um"] for machine, figures in by_machine.items()},
-            **{name: by_machine["nominal"][name] for name in ("rms_um", "control_rms_step_mA", "step_us")},
-        }
-        for law, by_machine in found.items()
-    ]
-
-
-def _table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="Whole stroke, true error, our laws and opensmc: median (min to max)", title_justify="left")
-    table.add_column("law")
-    for name in (*(f"p-p µm, {machine}" for machine in MACHINES), "RMS µm", "RMS Δi mA", "µs a step"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        errors = (Spread(**row["pp_um"][machine]).text(2) for machine in MACHINES)
-        others = (Spread(**row["rms_um"]).text(3), Spread(**row["control_rms_step_mA"]).text(1))
-        table.add_row(row["law"], *errors, *others, f"{row['step_us']:.1f}")
-    return table
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the comparison, or the search for the peer's gains."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     parser.add_argument("--search", type=int, metavar="N", help="draw N designs of each peer instead, print the best")
     options = parser.parse_args(arguments)
     try:
@@ -208,11 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
             best, least = search(name, values, options.search)
             print(f"{name}: {best}, {least:.3f} µm")
         return 0
-    rows = to_display(compare(values))
-    if options.json:
-        print(json.dumps({"laws": rows}))
-    else:
-        Console(width=160).print(_table(rows))
+    print(json.dumps({"laws": compare(values)}))
     return 0
 
 
