@@ -11,6 +11,7 @@ from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import HardwareError, State
+from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.nodes.dsp_emulator import emulate
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -139,6 +140,15 @@ class Driver:
         enough = len(self.samples) + samples
         self.until(lambda: len(self.samples) >= enough)
 
+    def stroke(self):
+        """Move the stage forward and back; the samples meanwhile, and how many were lost."""
+        begin, lost, motion = len(self.samples), self.hardware.lost_samples, self.stage.motion
+        waypoints = forward_and_back(motion)
+        self.hardware.move(Trajectory(waypoints), time.time_ns())
+        self.run(waypoints[-1].time_ns * 1e-9)
+        self.until(lambda: abs(self.samples[-1][0].x - motion.start) < 0.01 * motion.stroke)
+        return self.samples[begin:], self.hardware.lost_samples - lost
+
     def in_parallel(self, *words):
         """Run a program to its end while the loop goes on."""
         program = subprocess.Popen([str(word) for word in words])
@@ -209,7 +219,7 @@ class ServoDriver(Driver):
         command = self._servo.step(sample.stamp_ns, sample.y, sample.current, reference)
         return command.current if command else 0.0
 
-    def true_errors(self, begin):
-        """r(x) − y of the machine itself, in m, for the samples from number ``begin`` on that came with the truth."""
-        found = [truth for _, truth in self.samples[begin:] if truth is not None]
+    def true_errors(self, samples):
+        """r(x) − y of the machine itself, in m, for those of the samples that came with the truth."""
+        found = [truth for _, truth in samples if truth is not None]
         return np.array([self.map.reference(truth.x)[0] - truth.y for truth in found])
