@@ -12,18 +12,14 @@ _RUN_AWAY = 1.5
 """m/s: not detected as a jump, but soon outside any map."""
 
 
-def _replaced(**numbers: float) -> Callable[[Sample, Sample], Sample]:
-    return lambda sample, _: sample._replace(**numbers)
-
-
 def _run_away(sample: Sample, first: Sample) -> Sample:
     return sample._replace(x=sample.x - _RUN_AWAY * (sample.stamp_ns - first.stamp_ns) * 1e-9)
 
 
 FAULTS: Mapping[str, tuple[Fault, Callable[[Sample, Sample], Sample]]] = {
-    "sample NaN": (Fault.SAMPLE_NOT_FINITE, _replaced(y=math.nan)),
-    "sample infinite": (Fault.SAMPLE_NOT_FINITE, _replaced(x=math.inf)),
-    "y out of range": (Fault.Y_OUT_OF_RANGE, _replaced(y=5e-3)),
+    "sample NaN": (Fault.SAMPLE_NOT_FINITE, lambda sample, _: sample._replace(y=math.nan)),
+    "sample infinite": (Fault.SAMPLE_NOT_FINITE, lambda sample, _: sample._replace(x=math.inf)),
+    "y out of range": (Fault.Y_OUT_OF_RANGE, lambda sample, _: sample._replace(y=5e-3)),
     "encoder y frozen": (Fault.Y_FROZEN, lambda sample, first: sample._replace(y=first.y)),
     "encoder x frozen": (Fault.X_FROZEN, lambda sample, first: sample._replace(x=first.x)),
     "jump in x": (Fault.X_JUMP, lambda sample, _: sample._replace(x=sample.x + _JUMP)),

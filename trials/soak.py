@@ -33,7 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import default_output, recover
-from straightcomp_ros.bench.graph_bench import usage
+from straightcomp_ros.bench.graph_bench import Usage, growth_mb_per_hour, usage
 from straightcomp_ros.cell.launcher import COMPOSED, LaunchError
 from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import notes, print_json, require_ros
@@ -125,8 +125,6 @@ class Soak:
     operation, and counts.
 
     Args:
-        stand: with the graph started.
-        rng: makes the random choices. Their effects differ from run to run.
         rate: samples per second.
         stalled: says for how many ms this computer stalled from a time to another, ns since the epoch.
         maps: map files between which the feedforward may change.
@@ -449,8 +447,7 @@ def grown(name: str, process_id: int, looks: Sequence[Look]) -> tuple[dict[str, 
     counts = {what: (getattr(first, what), getattr(last, what)) for what in ("descriptors", "threads")}
     found = [f"{who} has {end} {what} after {begin}" for what, (begin, end) in counts.items() if end > begin]
     if seconds >= MEMORY_SPAN_S:
-        hours = [(one.time_ns - first.time_ns) / 3.6e12 for one in looks]
-        slope = float(np.polyfit(hours, [one.rss_mb for one in looks], 1)[0])
+        slope = growth_mb_per_hour([Usage(one.time_ns, {}, {name: one.rss_mb}) for one in looks])[name]
         if slope > MEMORY_LIMIT_MB_PER_HOUR and last.rss_mb - first.rss_mb > HISTORIES_MB:
             found.append(f"the memory of {who} grows by {slope:.0f} MB/h; allowed: {MEMORY_LIMIT_MB_PER_HOUR:g}")
     memory = {"rss_mb": (first.rss_mb, last.rss_mb), "slope_mb_per_hour": slope}

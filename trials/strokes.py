@@ -58,9 +58,8 @@ class Condition(NamedTuple):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    add(
-        "--runs", type=whole_number(1), default=10, metavar="N", help="strokes of each condition (default: %(default)s)"
-    )
+    runs = "strokes of each condition (default: %(default)s)"
+    add("--runs", type=whole_number(1), default=10, metavar="N", help=runs)
     add("--graphs", nargs="+", choices=GRAPHS, default=GRAPHS, help="default: both")
     add("--loads", nargs="+", choices=LOADS, default=LOADS, help="default: both")
     priorities = "SCHED_FIFO priorities, 0 for none (default: 40 0)"
@@ -109,16 +108,14 @@ def run_together(condition: Condition, stages: Mapping[str, Values], folder: Pat
         DemonstrationFailed: a graph failed.
     """
     chosen = {stage: at_priority(stages[stage], condition.priority) for stage in condition.stages}
-    folders = {stage: folder / stage for stage in chosen}
-    for one in folders.values():
-        one.mkdir(parents=True)
+    folder.mkdir(parents=True)
     make = partial(recorded, environment=isolated_environment(), composed=condition.graph == "composed")
     # A process for each: a graph's nodes end with the thread that has started them.
     with loaded(condition.load == "busy", folder), ProcessPoolExecutor(len(chosen), get_context("spawn")) as pool:
-        graphs = [pool.submit(make, values, folders[stage], namespace=stage) for stage, values in chosen.items()]
+        graphs = [pool.submit(make, values, folder / stage, namespace=stage) for stage, values in chosen.items()]
     for graph in graphs:
         graph.result()
-    return {stage: stroke_of(values, folders[stage]) for stage, values in chosen.items()}
+    return {stage: stroke_of(values, folder / stage) for stage, values in chosen.items()}
 
 
 def at_priority(values: Values, priority: int) -> Values:

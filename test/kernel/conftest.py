@@ -85,16 +85,14 @@ def _booted(item):
 def _command(root, items):
     environment = {
         GUEST: "1",
-        "PYTHONPATH": str(root),
+        "PYTHONPATH": root,
         "PYTHONDONTWRITEBYTECODE": "1",
         "OPENBLAS_NUM_THREADS": "1",
-        "XDG_CACHE_HOME": str(cache_directory().parents[1]),
+        "XDG_CACHE_HOME": cache_directory().parents[1],
     }
-    exports = [f"export {name}={shlex.quote(value)}" for name, value in environment.items()]
-    nodes = [item.nodeid for item in items]
-    return "\n".join(
-        [*exports, f"cd {root}", shlex.join([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *nodes])]
-    )
+    words = ["env", *(f"{name}={value}" for name, value in environment.items())]
+    words += [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *(item.nodeid for item in items)]
+    return f"cd {root}\n{shlex.join(words)}"
 
 
 def _boot(folder, root):

@@ -27,7 +27,7 @@ NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 class FakeStand:
     """A graph at work, as far as its fields are not changed; it waits for nothing."""
 
-    must_not_switch_on, fail, set = Stand.must_not_switch_on, Stand.fail, Stand.set
+    must_not_switch_on, fail = Stand.must_not_switch_on, Stand.fail
 
     def __init__(self):
         self.condition, self.fault, self.tripped = "on", None, None
