@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
 from straightcomp_ros.cli.output import print_json, require_ros
@@ -56,7 +56,6 @@ _LATE = 100
 _TO_START_NS = 8_000_000_000
 _PATIENCE_S = 400.0
 _COUNTED = ("stops", "reversals", "faults")
-Array = NDArray[np.float64]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,10 +12,10 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scripts.stage_files import STAGES
 from straightcomp_ros.analysis.metrics import straightness_over
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import offsets
@@ -36,7 +36,6 @@ _DRAWS = 9
 SPACINGS_MM, NOISES_UM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0), (0.02, 0.05, 0.2, 0.5)
 _TRAVEL = 5e-3
 """m, wide enough for the slopes that noise leaves at the ends."""
-Array = NDArray[np.float64]
 
 
 class Kind(NamedTuple):

@@ -23,12 +23,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.cli.options import output_folder, whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, schema_of, sealed, table_of
@@ -49,7 +49,6 @@ from straightcomp_ros.tuning.sweep.trial import mismeasured
 from trials.rig import tracked
 
 SUMMARY = "how soon wear is found, and by how many false alarms"
-Array = NDArray[np.float64]
 BAGS_A_DAY = 24
 START = np.datetime64("2026-01-01", "us")
 DAYS, BEGIN = 365, 120

@@ -1,6 +1,5 @@
 """The checks of the rigs on the running graph, with a stand that answers as the test says: each fails when it must."""
 
-import argparse
 import json
 import random
 from functools import partial
@@ -17,6 +16,7 @@ from straightcomp_ros.cell.demonstration import DemonstrationFailed
 from straightcomp_ros.safety.faults import Fault
 from trials import soak as soak_run
 from trials import strokes
+from trials.__main__ import run
 from trials.faults import row_of, trials_of
 from trials.soak import HELD_UP, HISTORIES_MB, MEMORY_LIMIT_MB_PER_HOUR, Look, Soak, gaps, grown
 from trials.stand import Seen, Stand
@@ -177,11 +177,8 @@ def test_two_stages_pass_by_their_errors_beside_those_without_the_hosts_stalls_a
 
     monkeypatch.setattr(strokes, "run_together", run_together)
     monkeypatch.setattr(strokes, "require_ros", lambda: None)
-    parser = argparse.ArgumentParser()
-    strokes.add_arguments(parser)
-    words = ["--graphs", "composed", "--loads", "quiet", "--priorities", "40", "--runs", "1"]
-    files = ["--pair", str(STAGES / "gantry.yaml"), "-o", str(tmp_path / "bags")]
-    assert strokes.run(parser.parse_args(words + files)) == code
+    words = ["strokes", "--graphs", "composed", "--loads", "quiet", "--priorities", "40", "--runs", "1"]
+    assert run([*words, "--pair", str(STAGES / "gantry.yaml"), "-o", str(tmp_path / "bags")]) == code
     found = json.loads(capsys.readouterr().out)
     rows = [one["ratio_to_alone"] for one in found["rows"] if "ratio_to_alone" in one]
     assert len(found["failures"]) == (beside is None) and len(rows) == (0 if beside is None else 2)
