@@ -35,7 +35,6 @@ from straightcomp_ros.safety.watch import ErrorWatch, SampleWatch
 from trials.faulty_machine import FaultyHardware
 
 SUMMARY = "incidents of all faults, packed and opened"
-PURPOSE = "judge"
 _AT_S = 0.6
 """Time of the disturbance in the run."""
 _ERROR_LIMIT = 50e-6

@@ -31,7 +31,6 @@ from straightcomp_ros.contract import ENCODER
 from trials.rig import tracked
 
 SUMMARY = "what a power cut leaves of a bag"
-PURPOSE = "judge"
 _SECTOR = 512
 _PERIOD_S = 0.5e-3
 ALLOWED_S = 1.0
