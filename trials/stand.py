@@ -71,6 +71,7 @@ class Stand:
         composed: driver, feedforward and controller run in one process.
 
     Attributes:
+        graph: starts and stops the processes; it may get others.
         failures: what was not as it must be, in words; ``about`` begins those that follow.
         condition, fault: of the driver's safety state; ``tripped``: the fault for which the controller asked to switch
             off; ``injected_ns``: when the driver began an injected fault.
