@@ -33,7 +33,7 @@ help:
 	make test              what CI runs: some nine minutes on two cores
 	make test ARGS="..."   some of the tests, e.g. ARGS="-k bags"
 	make quick             the tests without live nodes, long sweeps and builds: under a minute
-	make nightly           all tests, with coverage, as on other processors, some mutants: two hours; CONTRIBUTING.md says more
+	make nightly           all tests, with coverage, as on other processors, some mutants: one to two hours; CONTRIBUTING.md says more
 	make trials ARGS="..." faults, long runs and benches of development, e.g. ARGS="faults --only foreign"
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
 	make mutants           200 random changes of the core: tests of the changed folder shall notice 92 %

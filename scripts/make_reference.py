@@ -35,8 +35,8 @@ HEAD = """\
 *Reference, for whoever looks up a topic, a service, a parameter, a CAN frame or a column.*
 
 Made by `scripts/make_reference.py` from `contract.py`, `parameters/node_parameters.py`, the nodes, the DBC files and
-`history/`; a test holds it to them. Numbers are SI where no unit is named. All names of topics, services and nodes are
-relative: a namespace or a remapping moves them.
+`fleet/history/`; a test holds it to them. Numbers are SI where no unit is named. All names of topics, services and
+nodes are relative: a namespace or a remapping moves them.
 
 ## Topics
 

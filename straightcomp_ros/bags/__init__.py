@@ -65,7 +65,7 @@ class RecorderParameters:
         "[0, 600] s",
     )
     min_free_bytes: int = parameter(
-        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf)"
+        200_000_000, "Free bytes on the disk below which the logger finishes the bag and fails", "[0, inf) byte"
     )
     sync_interval: float = parameter(
         0.2,

@@ -276,7 +276,7 @@ def _convert(options: argparse.Namespace) -> None:
             f"{output}: {len(x)} points from {x[0] * 1e3:g} to {x[-1] * 1e3:g} mm, "
             f"{figures['peak_to_peak_um']:.2f} µm peak to peak, {' and '.join(run.direction for run in survey.runs)}"
         )
-        print_written(output, then=f"straightcomp map build {quote(str(output))}")
+        print_written(output, then=f"straightcomp map build {quote(str(output))} -o map.csv")
 
 
 def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
@@ -417,7 +417,7 @@ def _reverse(options: argparse.Namespace) -> None:
         blind = f"waves of {abs(shift):g} mm and of a half, a third … of it"
         also = "" if options.moved == "sensor" else ", and its parabola"
         notes.print(f"not seen, and left in the guide: the straightedge's {blind}{also}")
-    print_written(*filter(None, (output, edge)), then=f"straightcomp map build {quote(str(output))}")
+    print_written(*filter(None, (output, edge)), then=f"straightcomp map build {quote(str(output))} -o map.csv")
 
 
 def _align_arguments(parser: argparse.ArgumentParser) -> None:
