@@ -91,11 +91,10 @@ async def give(made, method, *arguments):
     return await made.get_node(path("Commands")).call_method(path(f"Commands.{method}"), *arguments)
 
 
-def flood(url, count):
+def flood(url, count, niceness=0):
     """A process of clients that vanish, which prints the number of its answers five times a second until it is
     killed."""
-    # The load on the gateway is tried, not that of the clients, who are elsewhere.
-    words = ["nice", "-n", "10", sys.executable, __file__, url, str(count)]
+    words = ["nice", "-n", str(niceness), sys.executable, __file__, url, str(count)]
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 

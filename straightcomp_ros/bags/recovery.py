@@ -8,7 +8,6 @@ sound chunk, wherever it starts.
 import shutil
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -98,33 +97,35 @@ def recover(
     if paths[0].suffix == ".db3":
         raise BagError(f"bag {bag} is stored as sqlite3; this needs MCAP: `ros2 bag convert`")
     result = Recovery(output)
-    with ExitStack() as stack:
-        files, refused = list[McapInput](), list[BagError]()
-        for path in paths:
-            try:
-                files.append(stack.enter_context(McapInput(path)))
-            except BagError as error:
-                refused.append(error)
-                # What a link that leads nowhere stands for has no size.
-                result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
-        if not files:
-            raise refused[0]
-        writer = BagWriter(output)
+    readable, refused = list[Path](), list[BagError]()
+    for path in paths:
         try:
-            with writer:
-                for file in files:
+            # One at a time: a bag may have more files than a process may open.
+            with McapInput(path):
+                readable.append(path)
+        except BagError as error:
+            refused.append(error)
+            # What a link that leads nowhere stands for has no size.
+            result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
+    if not readable:
+        raise refused[0]
+    writer = BagWriter(output)
+    try:
+        with writer:
+            for path in readable:
+                with McapInput(path) as file:
                     _Copy(file, writer, result, since_ns, edit).run()
-                for name in missing_files:
-                    result.lose(name, 0, "the file is missing")
-                missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
-                facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
-                facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
-                facts[LOST_FILES] = ", ".join(result.lost_files)
-                writer.add_metadata(RECOVERY_METADATA, facts)
-        except BaseException:
-            # Half a copy would pass as a whole bag, whatever ended it: Ctrl-C too.
-            shutil.rmtree(output)
-            raise
+            for name in missing_files:
+                result.lose(name, 0, "the file is missing")
+            missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
+            facts = {"source": str(bag), "saved_messages": str(result.saved.total()), "lost_messages": missing}
+            facts |= {"gaps": str(len(result.gaps)), UNFINISHED_FILES: ", ".join(result.unfinished)}
+            facts[LOST_FILES] = ", ".join(result.lost_files)
+            writer.add_metadata(RECOVERY_METADATA, facts)
+    except BaseException:
+        # Half a copy would pass as a whole bag, whatever ended it: Ctrl-C too.
+        shutil.rmtree(output)
+        raise
     result.time_range = writer.finished_files[0].time_range
     return result
 

@@ -35,5 +35,8 @@ def _complete(parser: argparse.ArgumentParser, files: Any) -> None:
         if isinstance(action, argparse._SubParsersAction):
             for inner in action.choices.values():
                 _complete(inner, files)
-        elif action.nargs != 0 and action.choices is None and action.type not in (int, float):
-            action.complete = files  # type: ignore[attr-defined]
+        elif action.nargs != 0 and action.choices is None:
+            # A function that reads a number says so.
+            kind = getattr(action.type, "__annotations__", {}).get("return", action.type)
+            if kind not in (int, float):
+                action.complete = files  # type: ignore[attr-defined]

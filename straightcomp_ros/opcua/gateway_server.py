@@ -237,16 +237,18 @@ def _own_certificate(folder: str | Path) -> tuple[Path, Path]:
     certificate, key = Path(folder) / "certificate.der", Path(folder) / "key.pem"
     host = socket.gethostname()
     try:
-        certificate.parent.mkdir(0o700, parents=True, exist_ok=True)
+        for one in (*reversed(certificate.parent.parents), certificate.parent):
+            one.mkdir(0o700, exist_ok=True)
         made = not certificate.exists()
-        if made and not key.exists():
-            write_whole(key, dump_private_key_as_pem(generate_private_key()), private=True)
-        private = load_pem_private_key(key.read_bytes(), None)
+        new = generate_private_key() if made and not key.exists() else None
+        private = new or load_pem_private_key(key.read_bytes(), None)
         if made:
             names = [x509.UniformResourceIdentifier(APPLICATION), x509.DNSName(host)]
             usage = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
             subject = {"organizationName": PACKAGE}
             issued = generate_self_signed_app_certificate(private, APPLICATION, subject, names, usage)
+            if new:
+                write_whole(key, dump_private_key_as_pem(new), private=True)
             write_whole(certificate, issued.public_bytes(Encoding.DER), private=True)
         own = x509.load_der_x509_certificate(certificate.read_bytes())
     except (OSError, ValueError, TypeError) as error:

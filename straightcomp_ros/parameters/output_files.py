@@ -175,7 +175,8 @@ def making(
             for read in reads:
                 if same_or_within(read, path):
                     raise OutputRefused(f"{path}: would be replaced, but is read: {read}; name another output folder")
-            if os.path.lexists(path) and not force and made.get(path.name, False) not in (None, _files(path)):
+            # Only what the mark has is looked through: another folder may be large, or closed.
+            if os.path.lexists(path) and not (force or (path.name in made and made[path.name] in (None, _files(path)))):
                 raise OutputRefused(
                     f"{path}: was not made by straightcomp, or was changed since; name another output folder, or give "
                     "--force to replace it"

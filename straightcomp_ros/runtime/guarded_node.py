@@ -49,8 +49,8 @@ class SteadyTimer:
     due_ns: float
 
     def cancel(self) -> None:
-        """Never call again."""
-        self.due_ns = math.inf
+        """Never call again, and let go of what was called."""
+        self.due_ns, self.callback = math.inf, lambda: None
 
 
 class SteadyTimers:

@@ -66,17 +66,18 @@ class Diagnostics:
         self._fixed = {**({DESCRIPTION: description} if description else {}), REALTIME_LIMIT: realtime_limit()}
         # rclpy takes 0.1 ms to look a parameter up.
         self._asked = bool(node.has_parameter(_PRIORITY) and node.get_parameter(_PRIORITY).value)
-        self._ticks = 0
+        self._ticks, self._steps = 0, None
         self._cpu_wait.take_us()
         node.create_timer(_LOOK_S, self._cpu_wait.look)
         node.create_timer(_TICK_S, self.tick)
 
     def tick(self) -> None:
-        """Do the next step of a report."""
-        if self._ticks % TICKS == 0:
+        """Do the next step of a report; a report of many values delays the next one."""
+        if self._steps is None and self._ticks % TICKS == 0:
             self._steps = self._report()
         self._ticks += 1
-        next(self._steps, None)
+        if self._steps is not None and next(self._steps, self) is self:
+            self._steps = None
 
     def _report(self) -> Iterator[None]:
         """Publish a report; each ``yield`` waits for the next tick."""

@@ -458,8 +458,9 @@ class Streams:
 
     def close(self) -> None:
         """End the subscriptions and the cycle; all that was published has been sent."""
+        self.cycle = _nothing
         if self._shared:
-            self.cycle, self.records = _nothing, {}
+            self.records = {}
             for waiting in self._shared.queues.values():
                 waiting[:] = [queue for queue in waiting if queue not in self._memory]
             self._memory = []

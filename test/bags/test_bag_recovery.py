@@ -1,6 +1,8 @@
 """A recovered bag holds what was sound in the original, to the byte, and nothing else."""
 
+import os
 import random
+import resource
 import time
 from pathlib import Path
 
@@ -121,6 +123,17 @@ def test_a_file_that_cannot_be_read_costs_its_own_messages_and_the_copy_is_no_wh
     assert (result.lost, result.lost_files, result.whole) == (None, [files[lost].name], False)
     assert result.saved.total() >= 0.7 * len(contents(SMC))
     assert verb("evaluate", tmp_path / "new", "--json").json["verdict"] == "interrupted"
+
+
+def test_a_bag_may_have_more_files_than_a_process_may_open(tmp_path):
+    split_run(tmp_path / "run", 60)
+    limits, opened = resource.getrlimit(resource.RLIMIT_NOFILE), len(os.listdir("/proc/self/fd"))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 20, limits[1]))
+    try:
+        result = recover(tmp_path / "run", tmp_path / "new")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert result.lost_files == [] and contents(tmp_path / "new") == contents(SMC)
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated, OSError, ZeroDivisionError])

@@ -7,11 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+import weakref
 from types import SimpleNamespace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from participant import spun
+from rclpy.lifecycle import TransitionCallbackReturn
 from tiers import nightly
 from waiting import wait_for_line
 
@@ -22,6 +25,7 @@ from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.runtime.loops import WorkerThread
+from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
 
 MANAGED = {
@@ -163,6 +167,31 @@ def test_what_keeps_a_node_from_being_configured_ends_it_with_code_2_and_its_wor
     name, parameters, _ = MANAGED["logger"]
     monkeypatch.setitem(MANAGED, "logger", (name, parameters, fail))
     assert refusal("logger") == "logger: ZeroDivisionError: nothing to divide by"
+
+
+@pytest.mark.parametrize("kind", MANAGED)
+def test_what_a_node_had_is_freed_before_it_is_configured_again(participant, tmp_path, monkeypatch, kind):
+    """Otherwise the former machine or map would be in memory beside the new one."""
+    name, parameters, make = MANAGED[kind]
+    made, left = [], []
+
+    def noted(node, given):
+        left.append([one() for one in made if one() is not None])
+        component = make(node, given)
+        made.append(weakref.ref(component))
+        return component
+
+    monkeypatch.chdir(tmp_path)
+    node = ManagedNode(name, parameters, noted)
+    with spun(node):
+        node.begin()
+        node.trigger_deactivate()
+        node.trigger_cleanup()
+        participant.spin(0.3)
+        assert node.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        node.trigger_cleanup()
+        node.close()
+    assert left == [[], []]
 
 
 def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(single):

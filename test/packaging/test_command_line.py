@@ -197,6 +197,7 @@ def test_bash_completes_verbs_tools_options_values_and_files(verb, tmp_path, mon
     assert completed(script, "simulate", "--law", "smc_") == {"smc_observer"}
     assert completed(script, "map", "export", "--unit", "i") == {"inch"}
     assert completed(script, "simulate", "--plot", "x") == {"xy.png"}
+    assert completed(script, "simulate", "--starts", "x") == completed(script, "simulate", "--delay", "x") == set()
 
 
 @pytest.mark.parametrize("shell", ["zsh", "tcsh", "fish"])

@@ -24,6 +24,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.runtime.graph_client import _SERVICES
 from straightcomp_ros.runtime.safety_panel import safety_status
 from straightcomp_ros.runtime.stage_state import stage_status
+from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters
 from trials.__main__ import RIGS
 
@@ -207,6 +208,10 @@ def test_the_reference_is_what_the_code_says():
     """Remedy: python scripts/make_reference.py"""
     assert make_reference.FILE.read_text(encoding="utf-8") == make_reference.reference()
     assert make_reference.TROUBLESHOOTING.read_text(encoding="utf-8") == make_reference.troubleshooting()
+    table = read("troubleshooting").partition("## Faults\n")[2].partition("\n## ")[0]
+    rows = [[cell.strip("|` ") for cell in line.split(" | ")] for line in table.splitlines() if line.startswith("| `")]
+    assert [row[0] for row in rows] == [fault.label for fault in Fault]
+    assert all(len(row) == 4 and all(row) for row in rows)
 
 
 def test_every_service_of_a_node_says_what_it_does():
