@@ -165,6 +165,7 @@ def test_the_curves_of_the_report_are_thin_and_in_its_units_and_another_run_begi
     encoder, true, theirs = report._error(found, other).data
     # However long the record, a page carries some thousand points, with the extremes.
     assert len(encoder.x) <= 10_000 < len(record.time) and (np.diff(encoder.x) > 0.0).all()
+    assert len(report._extremes(np.zeros(100))) == 100
     assert [encoder.x[0], encoder.x[-1]] == pytest.approx(record.moving.time[[0, -1]].tolist(), abs=0.01)
     assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
     assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)

@@ -270,7 +270,6 @@ HUMBLE_BYTES = struct.pack("<4sIIIsB2x4f", b"\0\1\0\0", 10, 0, 1, b"", 0, 0, 0, 
 def test_the_definition_in_the_bag_counts_and_not_what_its_names_mean_elsewhere(tmp_path, type_name, text, message):
     bag = written([One("/probe", type_name, text.encode(), message, 7, 7)] * 2, tmp_path / "b_0.mcap")
     found = read_field(bag, Field("/probe", "range"))
-    # Of two with one stamp the first.
     assert found.values.tolist() == [0.5] and found.stamped == ("sensor" in type_name)
 
 

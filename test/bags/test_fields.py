@@ -53,6 +53,15 @@ def test_a_message_has_the_stamp_of_its_header_or_else_the_time_of_sending(tmp_p
     assert found.values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
 
 
+def test_values_come_in_the_order_of_their_stamps_and_of_one_stamp_the_first(tmp_path):
+    kind, messages = "geometry_msgs/msg/PointStamped", []
+    for number, ns in enumerate((30, 10, 20, 10)):
+        data = bytes(STORE.serialize_cdr(point(number, header(ns)), kind))
+        messages.append(("/probe", kind, data, START_NS + number, START_NS + number))
+    found = read_field(bag_of(tmp_path / "bag", messages), Field("probe", "point.y"))
+    assert (found.stamp.tolist(), found.values.tolist()) == ([10, 20, 30], [2.0, 4.0, 0.0])
+
+
 @pytest.mark.parametrize("time_ns", [1 << 63, (1 << 64) - 1])
 def test_a_time_of_sending_beyond_the_epochs_is_refused_where_no_header_has_another(tmp_path, time_ns):
     for type_name, make in (("geometry_msgs/msg/PointStamped", point), ("std_msgs/msg/Float64", plain)):

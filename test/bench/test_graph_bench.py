@@ -6,13 +6,17 @@ import pytest
 from bag_of_rows import bag_of_rows
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bench import graph_bench
 from straightcomp_ros.bench.graph_bench import (
+    BenchFailed,
     Usage,
     bench_parameters,
     growth_mb_per_hour,
     look_times,
+    measure,
     read_window,
 )
+from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, STREAMS
 from straightcomp_ros.model.motion import forward_and_back, reach
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, node_parameters
@@ -25,6 +29,24 @@ PERIOD = 500_000
 def test_the_processes_are_looked_at_at_both_ends_of_the_window_and_every_ten_seconds():
     assert look_times(101.0, 25.0) == [101.0, 111.0, 121.0, 126.0]
     assert look_times(101.0, 20.0) == [101.0, 111.0, 121.0]
+
+
+def test_the_window_begins_after_the_settling_and_ends_once(monkeypatch, tmp_path):
+    now, seen = [100.0], []
+
+    def cycle(bag, parameters, logs, duration, follow, **_):
+        while not follow(0.5):
+            now[0] += 0.05
+        raise LaunchError("over")
+
+    monkeypatch.setattr(graph_bench, "run_cycle", cycle)
+    monkeypatch.setattr(graph_bench, "usage", lambda ids: seen.append(now[0]))
+    monkeypatch.setattr(graph_bench.time, "monotonic", lambda: now[0])
+    values = bench_parameters(shipped_parameters(), rate=None, seconds=25.0, priority=0)
+    with pytest.raises(BenchFailed, match="over"):
+        measure(values, tmp_path, 25.0, progress=lambda fraction: None)
+    assert seen == pytest.approx([101.5, 111.5, 121.5, 126.5], abs=0.06)
+    assert now[0] == pytest.approx(seen[-1] + 1.0, abs=0.06)
 
 
 def test_the_slope_of_the_memory_is_that_of_the_line_through_the_looks():

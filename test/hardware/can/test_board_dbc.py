@@ -162,7 +162,12 @@ EDITED = [
     ("POS_Y : 1;", "POS_Y : 2;", {}, r"'POS_Y' .* has 32 bits, byte order @0, SIG_VALTYPE_ 2; allowed"),
     # -1 says that a state has no value of its own, also where the signal holds it.
     (STATE, "3@0- (1,0) [0|0]", {"wire/amplifier/on_value": -1}, "amplifier.on_value'.*>= 0"),
-    (STATE, "3@0+ (1,0) [2|3]", {}, r"-1 leaves no value of 'AMP_STATE' .*allowed: a signal with more than \[2, 3\]"),
+    (
+        STATE,
+        "3@0+ (1,0) [2|3]",
+        {},
+        r"amplifier.off_value': -1 leaves no value of 'AMP_STATE' .*allowed: a signal with more than \[2, 3\]",
+    ),
     (" 801 ", " 1960 ", {"node": 127}, NODE),
     ("35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", protected("y", crc=""), COUNTS),
     ("", "", protected("command", "e2e_2", alive="", data_id=IDS_OF_2), "needs a counter 'alive' of 4 bits"),
