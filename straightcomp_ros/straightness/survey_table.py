@@ -129,7 +129,7 @@ _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
 _COMPUTED = {*["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "sigma", "σ", "ø"]}
 """What names a figure of runs among the columns of runs."""
-_RUN = re.compile(r"(\w+) \((forward|backward|) ?run(?: \d+)?\)")
+_RUN = re.compile(rf"(deviation_(?:{'|'.join(PER_METRE)})) \((?:(forward|backward) )?run(?: \d+)?\)")
 """What :func:`_of_run` makes of a run's column."""
 TIME_COLUMN = "time_s"
 """Of a recording over time."""
@@ -337,7 +337,7 @@ def _of_run(name: str) -> str:
 def _columns_of_runs(header: Sequence[str]) -> dict[int, tuple[str, str]]:
     """The column of deviation and the direction, empty where none is named, of each run that has a column of its own,
     by its place; empty for another file."""
-    found = {at: (run[1], run[2]) for at, name in enumerate(header) if (run := _RUN.fullmatch(name))}
+    found = {at: (run[1], run[2] or "") for at, name in enumerate(header) if (run := _RUN.fullmatch(name))}
     alike = len({(unit, bool(way)) for unit, way in found.values()}) == 1
     other = {"run", "direction", *DEVIATION.columns}.intersection(header)
     return found if alike and not other else {}

@@ -120,6 +120,8 @@ TURNS = THERE + THERE[-2::-1]
                 "horizontal [um],vertical [um]",
                 "deviation_um raw,deviation_um std",
                 "run 1+ [um],run 1 - [um]",
+                "temperature (run 1),temperature (run 2)",
+                "deviation_um ( run 1),deviation_um (forwardrun 2)",
             )
         ),
         *(

@@ -129,7 +129,7 @@ class Procedure:
         return work
 
     def _refused(self, why: str) -> CommissionRefused:
-        return CommissionRefused(f"record {self._record}: {why}; name another folder, or remove it")
+        return CommissionRefused(f"record {self._record}: {why}; name another folder, or remove the record")
 
     def _refuse_changed(self, former: Mapping[str, str], now: Mapping[str, str]) -> None:
         """Raise CommissionRefused if a file of the description has another content than when the record was begun."""

@@ -166,6 +166,7 @@ def test_an_excited_plant_is_found_within_its_intervals_and_within_stated_bounds
     assert set(answer) == set(FIGURES.split()) and list(parameters) == list(UNITS)
     assert all(set(found) == set(OF_A_PARAMETER.split()) for found in parameters.values())
     assert_found({name: SimpleNamespace(**found) for name, found in parameters.items()}, STIFF)
+    assert all(found["low"] <= found["value"] <= found["high"] for found in parameters.values())
     assert not any(found["poorly_determined"] for found in parameters.values())
     assert parameters["actuator.turns"]["known"]
     assert answer["amplifier_bandwidth_Hz"] == pytest.approx(500.0, rel=1e-3)
@@ -467,6 +468,23 @@ def test_the_likelier_solution_is_followed_unless_the_other_one_leads_further(fa
 
     solution, _ = fitting.solved(solve, np.array([[DESCRIBED], [SLID]]), fitting.levels(1e-7, 5e-4))
     assert solution.vector == [found] and solution.missed == (fitting.MISSED[levels - 1] if levels else 3e-5)
+
+
+@pytest.mark.parametrize(("slid", "expected"), [(np.array([SLID]), [DESCRIBED, SLID]), (None, [DESCRIBED])])
+def test_the_search_begins_at_the_description_and_at_what_sliding_alone_says(monkeypatch, slid, expected):
+    begun = []
+
+    def solved(solve, begins, *_):
+        begun.extend(begins)
+        raise IdentificationError("far enough")
+
+    monkeypatch.setattr(fitting, "Search", lambda *_: SimpleNamespace(solve=None))
+    monkeypatch.setattr(fitting, "sliding_start", lambda *_: slid)
+    monkeypatch.setattr(fitting, "solved", solved)
+    described = SimpleNamespace(start=np.array([DESCRIBED]))
+    with pytest.raises(IdentificationError, match="far enough"):
+        fitting.fit(SimpleNamespace(period_ns=500_000), None, described, 1e-7)
+    assert begun == expected
 
 
 def test_forces_need_a_scale_so_mass_or_turns_must_be_known():
