@@ -170,7 +170,7 @@ _ACTED = 0.02
 """Share of its full effect in a period from which a command counts as having acted in it."""
 _PERCENTILES = (5.0, 50.0, 95.0)
 _LATEST = 3
-"""Delays of a command that are looked for: less than so many samples."""
+"""Delays of a command that are looked for: less than so many samples, or than two more than are described."""
 _USUAL = 0.99
 """Share of the samples that an accepted fit must explain; commands that are late now and then are in the others."""
 _EXACT = 1e-4
@@ -195,12 +195,15 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
     """The current between the samples of ``recording``; the bandwidth of ``drive`` holds if the record gives none."""
     period = recording.period_ns * 1e-9
     converted = np.array([drive.converted(value) for value in recording.command.tolist()])
-    found = [(*_regression(recording.current, asked, period), asked) for asked in (recording.command, converted)]
+    latest = max(_LATEST, math.ceil(drive.delay) + 2)
+    found = [
+        (*_regression(recording.current, asked, period, latest), asked) for asked in (recording.command, converted)
+    ]
     open_part, rate, deviation, usual, asked = min(found, key=lambda one: one[0])
     rate_found = open_part < _EXPLAINED
     if not rate_found:
         rate, deviation, usual, asked = 2.0 * math.pi * drive.bandwidth, 0.0, 0, converted
-    before, after, switch, late, missed = _arrivals(recording.current, asked, rate, period, usual)
+    before, after, switch, late, missed = _arrivals(recording.current, asked, rate, period, usual, latest)
     if _usual_rms(missed) > _EXPLAINED * float(np.diff(recording.current).std()):
         # Linear from sample to sample, in two steps.
         current, following = recording.current, np.append(recording.current[1:], recording.current[-1])
@@ -209,11 +212,11 @@ def current_path(recording: Recording, drive: DriveParameters) -> CurrentPath:
         return CurrentPath(_INSTANT, before, after, halves, math.nan, False, 0.0, (math.nan, math.nan))
     # Small changes say little of their time.
     telling = np.abs(after - before) > 0.5 * np.abs(after - before).mean()
-    soonest, delay, latest = math.nan, math.nan, math.nan
+    soonest, delay, last = math.nan, math.nan, math.nan
     if telling.any():
-        soonest, delay, latest = np.percentile((switch + late * period)[telling], _PERCENTILES).tolist()
+        soonest, delay, last = np.percentile((switch + late * period)[telling], _PERCENTILES).tolist()
     switch_ns = np.round(switch * 1e9).astype(np.int64)
-    return CurrentPath(rate, before, after, switch_ns, delay, rate_found, deviation, (soonest, latest))
+    return CurrentPath(rate, before, after, switch_ns, delay, rate_found, deviation, (soonest, last))
 
 
 def _usual_rms(missed: Array) -> float:
@@ -222,37 +225,37 @@ def _usual_rms(missed: Array) -> float:
     return float(np.sqrt(np.mean(np.sort(np.abs(missed))[: round(_USUAL * len(missed))] ** 2)))
 
 
-def _regression(current: Array, asked: Array, period: float) -> tuple[float, float, float, int]:
+def _regression(current: Array, asked: Array, period: float, latest: int) -> tuple[float, float, float, int]:
     """Residual as a fraction of the current's steps, inf if no amplifier fits; rate and its standard deviation, rad/s;
-    whole samples of delay."""
+    whole samples of delay, fewer than ``latest``."""
     steps, last = float(np.diff(current).std()), len(current) - 1
     if not steps > 0.0:
         return math.inf, 0.0, 0.0, 0
-    commands = [asked[_LATEST - age : last - age] for age in range(_LATEST + 1)]
-    terms = np.stack([current[_LATEST:last], *commands], axis=1)
-    weights, spread = robust_regression(terms, current[_LATEST + 1 :], _EXACT * steps)
+    commands = [asked[latest - age : last - age] for age in range(latest + 1)]
+    terms = np.stack([current[latest:last], *commands], axis=1)
+    weights, spread = robust_regression(terms, current[latest + 1 :], _EXACT * steps)
     kept = float(weights[0])
     if not (0.0 < kept < 1.0 and abs(float(weights.sum()) - 1.0) < 0.05):
         return math.inf, 0.0, 0.0, 0
     # The youngest command that has acted within the period: of those before it, something is left.
     whole = int(np.argmax(np.cumsum(weights[1:]) > _ACTED * (1.0 - kept)))
     deviation = spread * math.sqrt(float(np.linalg.pinv(terms.T @ terms)[0, 0])) / (kept * period)
-    left = _usual_rms(current[_LATEST + 1 :] - terms @ weights)
+    left = _usual_rms(current[latest + 1 :] - terms @ weights)
     return left / steps, -math.log(kept) / period, deviation, whole
 
 
 def _arrivals(
-    current: Array, asked: Array, rate: float, period: float, usual: int
+    current: Array, asked: Array, rate: float, period: float, usual: int, latest: int
 ) -> tuple[Array, Array, Array, NDArray[np.int64], Array]:
     """Old and new command in A, time of the change in s, samples by which it is late, residual in A; (n,) each.
 
-    ``usual`` is by how many samples most commands are late.
+    ``usual`` is by how many samples most commands are late, ``latest`` more than any.
     """
     n = len(current)
     following = np.append(current[1:], current[-1])
     keep = math.exp(-rate * period)
     best = (*np.zeros((3, n)), np.zeros(n, np.int64), np.full(n, np.inf))
-    for late in sorted(range(_LATEST), key=lambda late: abs(late - usual)):
+    for late in sorted(range(latest), key=lambda late: abs(late - usual)):
         new = np.concatenate([np.full(late, asked[0]), asked[: n - late]])
         old = np.concatenate([new[:1], new[:-1]])
         change = old - new

@@ -15,6 +15,7 @@ from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, forward_and_back, goals, jog, move
+from straightcomp_ros.model.paced_motion import AT_START_M
 from straightcomp_ros.parameters.declaration import ParameterError
 
 MOST_STROKES = 1_000_000
@@ -38,8 +39,6 @@ _REPORTED_WITHIN_S = 1.5
 """Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
-_AT_START_M = 1e-6
-"""From the start of a trajectory, which the driver allows."""
 _POINTS_TO_START = 8
 """Most points of the way to the start of a trajectory: of a move with a limit of the jerk."""
 _FARTHEST_JOG_UM = 20_000_000
@@ -116,7 +115,7 @@ class StageMovements:
         motion = self._motion
         if self.as_one:
             waypoints = cycles(motion, self.strokes)
-            if abs(seen.x - motion.start) > _AT_START_M:
+            if abs(seen.x - motion.start) > AT_START_M:
                 way = jog(motion, seen.x, motion.start - seen.x)
                 end_ns = way[-1].time_ns
                 waypoints = [*way, *(point._replace(time_ns=point.time_ns + end_ns) for point in waypoints[1:])]

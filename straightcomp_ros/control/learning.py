@@ -396,6 +396,10 @@ class Learning:
         self._pass = array("d")
         self._samples, self._stood, self._spoiled = 0, False, False
 
+    def spoil(self) -> None:
+        """Learn nothing from the present pass, which a test signal disturbs."""
+        self._spoiled = True
+
     def step(self, stamp_ns: int, x: float, y: float, reference: Reference) -> Reference:
         """The law's reference (m, m/s, m/s²) for a sample: stamp, x and y in m, and the reference asked for."""
         last, dt = self._tracked, (stamp_ns - self._stamp_ns) * 1e-9

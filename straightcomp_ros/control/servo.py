@@ -112,6 +112,8 @@ class Servo:
                 self._law.reset(y)
             if self._injection is not None and not self._injection.finished:
                 self._law.excited()
+                if self._learning is not None:
+                    self._learning.spoil()
             if self._learning is None:
                 self._answer = self._law.step(y, r, r_dot, r_ddot, coil_current)
             else:

@@ -26,8 +26,8 @@ _LEAST_SPEED = 1e-9
 """m/s, in place of zero as a divisor."""
 _SAME_SPEED = 1e-6
 """Difference in m/s that no step of the acceleration shows: of 2 mm/s² within a sample."""
-_NEAR = 1e-6
-"""m from the stage, or from a reading of x, which is half a count off: so far a trajectory may begin from it."""
+AT_START_M = 1e-6
+"""From the stage, or from a reading of x, which is half a count off: so far a trajectory may begin from it."""
 _KNOTS = 32
 """Of the way to a trajectory that begins later: between them the quintic is followed by cubics."""
 _RESERVE = 0.5
@@ -68,7 +68,7 @@ class PacedMotion:
     """
 
     def __init__(self, motion: MotionParameters, x: float = 0.0, count: float = 0.0) -> None:
-        self._near = _NEAR + 0.5 * count
+        self._near = AT_START_M + 0.5 * count
         self._acceleration = motion.acceleration
         self._build = motion.acceleration / motion.jerk if motion.jerk else _BUILD_S
         self._set(Pace())

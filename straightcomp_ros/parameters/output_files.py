@@ -14,7 +14,7 @@ import os
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -146,7 +146,13 @@ class OutputRefused(ValueError):
 
 @contextmanager
 def making(
-    folder: Path, names: Iterable[str], *, reads: Iterable[Path] = (), force: bool = False, anew: bool = True
+    folder: Path,
+    names: Iterable[str],
+    *,
+    reads: Iterable[Path] = (),
+    force: bool = False,
+    anew: bool = True,
+    changing: Sequence[str] = (),
 ) -> Iterator[Path]:
     """Make files or folders called ``names`` in ``folder`` during the block, and mark them as made here.
 
@@ -157,6 +163,7 @@ def making(
         force: replace what was not made here, too.
         anew: the block writes into a new folder, whose content takes the place of what was there when all has gone
             well; otherwise it changes what is there.
+        changing: those of the names that others go on writing: made here, whatever they hold by now.
 
     Returns:
         Where the block is to write: ``folder`` itself unless ``anew``.
@@ -191,7 +198,7 @@ def making(
             yield place
         except BaseException as error:
             with suppress(OSError):
-                _mark(folder, made | _found(folder, made))
+                _mark(folder, made | _found(folder, made, changing))
                 if anew and any(place.iterdir()):
                     error.kept = place  # type: ignore[attr-defined]
             raise
@@ -201,7 +208,7 @@ def making(
             for name in names:
                 _put(place / name, folder / name)
             remove(place)
-        _mark(folder, made | _found(folder, names))
+        _mark(folder, made | _found(folder, names, changing))
 
 
 def _put(new: Path, path: Path) -> None:
@@ -248,8 +255,9 @@ def _marked(folder: Path) -> dict[str, Any]:
     return made if isinstance(made, dict) else {}
 
 
-def _found(folder: Path, names: Iterable[str]) -> dict[str, Any]:
-    return {name: _files(folder / name) for name in names if os.path.lexists(folder / name)}
+def _found(folder: Path, names: Iterable[str], changing: Sequence[str]) -> dict[str, Any]:
+    there = [name for name in names if os.path.lexists(folder / name)]
+    return {name: None if name in changing else _files(folder / name) for name in there}
 
 
 def _mark(folder: Path, made: Mapping[str, Any]) -> None:

@@ -10,6 +10,7 @@ from scipy.interpolate import BSpline
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.control import learning as learning_module
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.learning import (
     BARE_SQUARE,
@@ -364,6 +365,16 @@ def test_a_stage_that_moves_by_more_than_a_jump_within_a_sample_is_learned_from(
     for at_ns in range(0, trajectory.end_ns, 2_000_000):
         learner.step(at_ns, trajectory.position(at_ns), 0.0, (1e-7, 0.0, 0.0))
     assert {forward: table.updates for forward, table in learner.tables.items()} == {True: 1, False: 1}
+
+
+def test_nothing_is_learned_from_a_pass_with_a_test_signal_in_it():
+    learner, trajectory = learning(), Trajectory(forward_and_back(STROKE))
+    servo = Servo(make_law(ControlParameters(law="linear"), STAGE), learning=learner)
+    for index in range(trajectory.end_ns // PERIOD_NS):
+        if index == round(0.6 * RATE):
+            servo.inject(Injection(np.zeros(20), fade=1, limit=1.0, travel=1.0))
+        servo.step(index * PERIOD_NS, 0.0, 0.0, (1e-7, 0.0, 0.0), trajectory.position(index * PERIOD_NS))
+    assert {forward: table.updates for forward, table in learner.tables.items()} == {True: 0, False: 1}
 
 
 @pytest.mark.parametrize("x", [None, math.nan, 7.0])

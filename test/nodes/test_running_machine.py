@@ -39,6 +39,7 @@ class Client:
     stage_listens = True
     stage = StageState()
     excitation = "running"
+    x = away = 0.0
 
     def __init__(self, interrupt: str = "", safety: SafetyState = OFF, moved: SafetyState = ON) -> None:
         self.interrupt, self.safety, self.moved = interrupt, safety, moved
@@ -51,11 +52,13 @@ class Client:
         return {"controller": {"excitation": self.excitation}}
 
     def observation(self):
-        return Observation(x=0.0, fresh=True)
+        return Observation(x=self.x, fresh=True)
 
     def wait(self, done, within, otherwise):
-        """Time is not waited for."""
+        """Time is not waited for; a stage that was sent away comes back meanwhile."""
+        self.x, self.away = (self.away or self.x), 0.0
         done()
+        self.x = 0.0 if self.moves else self.x
 
     def bring(self, node, goal):
         self.states[node] = goal
@@ -75,6 +78,7 @@ class Client:
 
     def move(self, waypoints):
         self.moves.append(waypoints)
+        self.away = max(point.position for point in waypoints)
         if self.interrupt == "move":
             raise KeyboardInterrupt
         self.safety = self.moved
@@ -122,6 +126,32 @@ def test_after_an_interrupt_no_further_stroke_begins_and_the_travel_that_a_kille
     assert client.given["driver"]["watch.travel"] == 0.1
 
 
+def test_a_stage_that_makes_no_stroke_is_named_and_one_a_little_off_its_start_goes_there_first(tmp_path):
+    client = Client()
+    client.move = client.moves.append
+    with pytest.raises(CommissioningError, match="'stage_trajectory'"):
+        machine(client, tmp_path).stroke(SHIPPED, tmp_path / "bag", 3e-4)
+    assert off_at_the_end(client)
+    client = Client()
+    client.x = 5e-6
+    machine(client, tmp_path).stroke(SHIPPED, tmp_path / "bag", 3e-4)
+    assert [points[0].position for points in client.moves] == [5e-6, 0.0]
+
+
+def test_a_machine_that_fell_silent_is_released_all_the_same(tmp_path):
+    client = Client()
+    used = machine(client, tmp_path)
+    used.stroke(SHIPPED, tmp_path / "bag", 3e-4)
+
+    def silent(done, within, otherwise):
+        raise CommissioningError(otherwise)
+
+    client.wait = silent
+    used.release()
+    assert client.given["logger"] == {"output": "", "record_at_start": False}
+    assert set(client.states.values()) == {"inactive", "unconfigured"}
+
+
 def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(tmp_path):
     client = Client(interrupt="enable")
     with pytest.raises(KeyboardInterrupt):
@@ -138,6 +168,10 @@ def test_a_graph_that_learns_does_not_in_open_loop_and_gets_its_learning_back(tm
         used.play(ExcitationParameters(signal="shake"))
     controller = client.given["controller"]
     assert controller["control.law"] == OPEN_LOOP and not controller["learning.learn"]
+    # Nor under a test signal.
+    with pytest.raises(KeyboardInterrupt):
+        used.response(SHIPPED, MultisineParameters(draws=3), moving=True)
+    assert controller["control.law"] != OPEN_LOOP and not controller["learning.learn"]
     used.release()
     assert controller["control.law"] != OPEN_LOOP and controller["learning.learn"]
 

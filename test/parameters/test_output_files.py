@@ -144,6 +144,19 @@ def test_what_was_made_is_replaced_unasked(tmp_path, anew):
     assert kept(tmp_path) == {"bag/bag_0.mcap": "new", "run.png": "new"}
 
 
+def test_a_file_that_others_go_on_writing_is_replaced_and_one_that_was_there_before_is_not(tmp_path):
+    made, own = tmp_path / "made", tmp_path / "own"
+    make(made, anew=False, changing=("run.png",))
+    (made / "run.png").write_text("written by another")
+    make(made, "newer", anew=False, changing=("run.png",))
+    assert kept(made)["run.png"] == "newer"
+    own.mkdir()
+    (own / "run.png").write_text("own")
+    with pytest.raises(OutputRefused):
+        make(own, anew=False, changing=("run.png",))
+    assert kept(own) == {"run.png": "own"}
+
+
 def moved_there(folder):
     shutil.rmtree(folder / "bag")
     shutil.copytree(folder / "recording", folder / "bag")

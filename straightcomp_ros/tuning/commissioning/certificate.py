@@ -23,7 +23,7 @@ from straightcomp_ros.parameters.output_files import json_text, plain, write_who
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey, load_map
-from straightcomp_ros.tuning.commissioning import FIGURES, LEARNED, LIMITS, LOOP, PAGE, STROKE, TUNED
+from straightcomp_ros.tuning.commissioning import FIGURES, LIMITS, LOOP, PAGE, STROKE, TUNED
 from straightcomp_ros.tuning.commissioning.acceptance import Check, limited, stroke_checks
 from straightcomp_ros.tuning.commissioning.closed_loop import LEAST_GAIN, LEAST_PHASE
 from straightcomp_ros.tuning.commissioning.machine import Outcome, Work
@@ -135,8 +135,9 @@ def _conclusion(after: Mapping[str, Any] | None, lacks: str, require: float | No
 
 
 def _files(work: Work) -> Iterator[tuple[str, Path]]:
-    """What the certificate stands for: parameters, limits, map and bags."""
-    for name in (TUNED, LIMITS, LEARNED):
+    """What the certificate stands for: parameters, limits, map and bags; not what was learned, which production goes on
+    learning."""
+    for name in (TUNED, LIMITS):
         yield name, work.folder / name
     survey = find_survey(work.stage.guide.file)
     yield f"map {survey.name}", survey

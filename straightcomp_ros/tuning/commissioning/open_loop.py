@@ -270,6 +270,8 @@ def signs_and_scales(work: Work) -> Outcome:
     )
     if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, travel, stage, float(shaken.y[0]))):
         return Outcome(False, pulled)
+    if pulled := _pulled_away(shaken):
+        return Outcome(False, pulled)
     readback = current_readback(shaken, stage.drive, stage.period)
     figures: dict[str, Any] = {
         "readback_gain": readback.gain,
@@ -279,7 +281,8 @@ def signs_and_scales(work: Work) -> Outcome:
     }
     if wrong := _readback_fault(readback, stage):
         return Outcome(False, wrong, figures)
-    currents, moved, farthest, highest = [], [], 0.0, _RAMP_SHARE * stage.highest_current
+    currents: list[float] = []
+    moved, farthest, highest = [], 0.0, _RAMP_SHARE * stage.highest_current
     dry = stage.friction.static > 0.0
     if not dry:
         travel = max(_FREE_TRAVEL, _TRAVEL_COUNTS * stage.encoder.y_resolution)
@@ -287,6 +290,9 @@ def signs_and_scales(work: Work) -> Outcome:
         pushed = work.machine.play(
             ExcitationParameters(signal=signal, current=highest, duration=_RAMP_TIME, travel=travel)
         )
+        # The second may be pulled on from where the first has left the platform.
+        if not currents and (pulled := _pulled_away(pushed)):
+            return Outcome(False, pulled, figures)
         # The answer to the sample itself may be zero already.
         currents.append(math.nan if pushed.left_at is None else float(pushed.command[max(0, pushed.left_at - 1)]))
         # Not later, where a platform on a flexure has swung back.
@@ -313,6 +319,17 @@ def signs_and_scales(work: Work) -> Outcome:
     return Outcome(True, sentence, figures, stage=found)
 
 
+def _pulled_away(series: Series) -> str:
+    """Why the series says nothing of currents: the platform left before the first one; empty where it did not."""
+    if series.left_at is None or np.any(series.command[: series.left_at]):
+        return ""
+    return (
+        f"the magnets alone pulled the platform away from y = {series.y[0] * 1e6:.3g} µm, before any current acted: "
+        "neither friction nor a flexure holds it there; move it to the middle, and hold it there until the amplifier "
+        "is on"
+    )
+
+
 def _unbalanced(left_at: int, travel: float, stage: StageParameters, place: float) -> str:
     """What pulled the platform away without a current that could; empty where the samples are enough all the same.
 
@@ -322,8 +339,13 @@ def _unbalanced(left_at: int, travel: float, stage: StageParameters, place: floa
     # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
     weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
     alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
-    if 2.0 * travel / time**2 < _ONE_COIL * alone and left_at >= _ENOUGH:
-        return ""
+    if 2.0 * travel / time**2 < _ONE_COIL * alone:
+        if left_at >= _ENOUGH:
+            return ""
+        return (
+            f"the shake moved the platform by {travel * 1e6:g} µm within {left_at} samples, in which the current's "
+            f"path does not show; needed: {_ENOUGH}; raise 'stage.rate', or hold the platform"
+        )
     pull = actuator.position_stiffness * abs(place)
     beside = f"; or move the platform to the middle: at y = {place * 1e6:.3g} µm they pull with {pull:.2g} N"
     return (

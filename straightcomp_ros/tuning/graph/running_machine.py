@@ -26,6 +26,7 @@ from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Grap
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back, jog
+from straightcomp_ros.model.paced_motion import AT_START_M
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping, under
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
@@ -119,7 +120,9 @@ class RunningMachine:
     def response(self, values: Values, excitation: MultisineParameters, *, moving: bool = False) -> ComparedResponse:
         """See `Machine`; with ``moving`` the stage makes strokes meanwhile, otherwise it stands where it is."""
         asked = {f"excitation.{name}": one for name, one in to_mapping(excitation).items()}
-        values = with_values(values, "controller", {**asked, "excitation.signal": "multisine"})
+        # What is learned under a test signal is no correction of a stroke.
+        asked |= {"excitation.signal": "multisine", "learning.learn": False}
+        values = with_values(values, "controller", asked)
         nodes = node_parameters("controller", values)
         self._prepare(values, error_limit=2.0 * excitation.travel)
         bag, duration = self._folder / "bags" / "frequency_response", excitation.seconds + 2.0 * _SETTLE_S
@@ -152,12 +155,17 @@ class RunningMachine:
         return state if reported and state not in (EXCITING, FINISHED) else ""
 
     def release(self) -> None:
-        """Leave the loop inactive and the logger unconfigured, all with the parameters with which they were found."""
-        self._prepare(self._values)
-        self._rest()
-        # It begins its next bag when it is configured.
-        self._client.bring("logger", "unconfigured")
-        self._client.give("logger", self._logger)
+        """Leave the loop inactive and the logger unconfigured, all with the parameters with which they were found, even
+        if no samples come any more."""
+        try:
+            self._configure(self._values)
+        finally:
+            try:
+                self._rest()
+            finally:
+                # It begins its next bag when it is configured.
+                self._client.bring("logger", "unconfigured")
+                self._client.give("logger", self._logger)
 
     def _rest(self) -> None:
         """Make the loop inactive: what is computed next needs the processor, the loop's CPU too."""
@@ -173,12 +181,15 @@ class RunningMachine:
     def _prepare(self, values: Values, **controller: Any) -> None:
         """Bring the loop to work with these parameters, the amplifier off."""
         use_kept_free(False)
-        self._give("feedforward", values)
-        self._give("controller", with_values(values, "controller", controller))
-        # A client that was killed may have left another.
-        self._client.give("driver", {_TRAVEL: self._travel})
+        self._configure(with_values(values, "controller", controller))
         self._client.bring("driver", "active")
         self._client.wait(lambda: self._client.observation().fresh, _START_S, "no samples come from the driver")
+
+    def _configure(self, values: Values) -> None:
+        self._give("feedforward", values)
+        self._give("controller", values)
+        # A client that was killed may have left another.
+        self._client.give("driver", {_TRAVEL: self._travel})
 
     def _give(self, node: str, values: Values) -> None:
         client = self._client
@@ -200,7 +211,7 @@ class RunningMachine:
         self._require_pace()
         client = self._client
         x = client.observation().x
-        if not abs(x - motion.start) > _ARRIVED:
+        if not abs(x - motion.start) > AT_START_M:
             return
         points = jog(motion, x, motion.start - x)
         client.wait(lambda: client.stage_listens, _START_S, "no node subscribes to the stage's trajectory")
@@ -227,10 +238,20 @@ class RunningMachine:
 
     def _cycle(self, motion: MotionParameters) -> None:
         """Make one cycle. Each is a trajectory of its own: after an interrupt no further one begins."""
-        waypoints = forward_and_back(motion)
+        waypoints, way = forward_and_back(motion), 0.0
+
+        def look() -> None:
+            nonlocal way
+            way = max(way, abs(self._client.observation().x - motion.start))
+
         self._client.move(waypoints)
-        self._sleep(waypoints[-1].time_ns * 1e-9)
+        self._sleep(waypoints[-1].time_ns * 1e-9, look)
         self._arrive(motion.start, _LATE_S)
+        if way <= _ARRIVED:
+            raise CommissioningError(
+                "the stage does not follow its trajectory: the driver's log says why; a real stage is moved by its own "
+                "controller, which then follows the topic 'stage_trajectory'"
+            )
 
     @contextmanager
     def _recorded(self, bag: Path) -> Iterator[None]:

@@ -26,7 +26,7 @@ from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import CommissioningNodeParameters
 from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
-from straightcomp_ros.tuning.commissioning import MADE, STEP_NAMES
+from straightcomp_ros.tuning.commissioning import LEARNED, MADE, STEP_NAMES
 from straightcomp_ros.tuning.survey.survey_check import LEAST_POINTS, WIDEST_GAP
 from straightcomp_ros.tuning.verbs import (
     RUNNING,
@@ -85,7 +85,8 @@ def run(options: argparse.Namespace) -> None:
     # Nodes that run may have been started in another folder.
     folder = output_folder("--output", options.output).resolve()
     # A record that is there is taken up again.
-    with making(folder, MADE, reads=named_files(options, "--output"), force=options.force, anew=False):
+    reads = named_files(options, "--output")
+    with making(folder, MADE, reads=reads, force=options.force, anew=False, changing=(LEARNED,)):
         if options.graph:
             with graph_access(options, values, folder) as (machine, found, report):
                 _commission(options, folder, check, machine, found, report)

@@ -214,6 +214,31 @@ def test_an_amplifier_that_is_too_fast_for_the_samples_and_any_described_delay_a
     assert ("drive.delay" in outcome.stage) is (bandwidth < 1e3)
 
 
+class PulledAway:
+    """A machine whose platform leaves before the current of ``signal`` begins."""
+
+    def __init__(self, machine, signal):
+        self.machine, self.signal = machine, signal
+
+    def play(self, excitation):
+        series = self.machine.play(excitation)
+        if excitation.signal != self.signal:
+            return series
+        return dataclasses.replace(series, command=np.zeros_like(series.command), left_at=60)
+
+
+@pytest.mark.parametrize("signal", ["shake", "ramp_up"])
+def test_a_platform_that_nothing_holds_before_the_current_comes_is_not_taken_for_wired_wrongly(tmp_path, signal):
+    work = work_on(values_of(**FREE), tmp_path)
+    outcome = signs_and_scales(dataclasses.replace(work, machine=PulledAway(work.machine, signal)))
+    assert not outcome.passed and "magnets alone" in outcome.sentence
+
+
+def test_a_light_platform_that_leaves_within_few_samples_is_not_taken_for_a_missing_coil(tmp_path):
+    outcome = signs_and_scales(work_on(values_of(platform__mass=1.0, rate=1000, **FREE), tmp_path))
+    assert not outcome.passed and "'stage.rate'" in outcome.sentence
+
+
 @pytest.mark.parametrize("stop", [5e-4, 1e-5])
 def test_a_platform_without_friction_coasts_slowly_and_not_into_its_stop(tmp_path, stop):
     outcome = signs_and_scales(work_on(values_of(platform__stop=stop, **FREE), tmp_path))

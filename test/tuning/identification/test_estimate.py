@@ -11,11 +11,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from recorded_run import recorded_run, rewired
+from scipy.signal import lfilter
 from verbs import ran
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis import current_path as recording
-from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
+from straightcomp_ros.analysis.current_path import CurrentPath, current_path, read_recording
 from straightcomp_ros.cli.options import settings
 from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
@@ -225,6 +226,18 @@ def test_sliding_alone_leads_near_the_machine_whatever_the_description_says_if_t
     assert found["friction.coulomb"] == pytest.approx(truth["friction.coulomb"] * ratio, rel=0.1)
     assert found["friction.bristle_stiffness"] == pytest.approx(START.friction.bristle_stiffness)
     assert sliding_start(dataclasses.replace(recording, y=0.01 * recording.y), begin) is None
+
+
+def test_a_delay_is_found_that_is_longer_than_usual_on_a_fast_stage():
+    drive, period = DriveParameters(bandwidth=2000.0, delay=4.3), 1.0 / 8000.0
+    command = np.repeat(np.random.default_rng(5).uniform(-0.05, 0.05, 400), 2)
+    fine, keep = np.repeat(command, 10), math.exp(-2.0 * math.pi * drive.bandwidth * period / 10)
+    asked = np.concatenate([np.full(43, fine[0]), fine[:-43]])
+    current = lfilter([1.0 - keep], [1.0, -keep], asked)[9::10]
+    # Sample k is at the end of the ten steps before it.
+    record = SimpleNamespace(period_ns=125_000, command=np.append(command[1:], 0.0), current=current)
+    path = current_path(record, drive)
+    assert path.rate_found and path.delay == pytest.approx(4.3 * period, rel=0.02)
 
 
 @pytest.mark.nightly
