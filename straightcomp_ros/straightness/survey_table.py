@@ -135,6 +135,8 @@ TIME_COLUMN = "time_s"
 """Of a recording over time."""
 RUN_COLUMN = "column of the run"
 """Name of the cell that says which column a point is from."""
+_SINGLE = {"run", "direction", TIME_COLUMN, *X.columns, *DEVIATION.columns}
+"""The columns in which each row has a cell."""
 _INCH = re.compile(r"(?<![a-z])(u|micro)?inch(?:es)?\b")
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
@@ -201,6 +203,10 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
+    if not runs and sum(map(bool, map(_RUN.fullmatch, header))) > 1 and not {"run", "direction"}.intersection(header):
+        raise SurveyError(
+            f"{header_line}: {deviation} stands among columns of runs; remove it, or choose it by --deviation-column"
+        )
     for name in ("run", "direction", TIME_COLUMN):
         if header.count(name) > 1:
             raise SurveyError(f"{header_line}: {name} is given twice; allowed: one column of this name")
@@ -248,8 +254,10 @@ def _rows(
         # A spreadsheet ends some rows with separators, or ends them early.
         while len(row) > len(header) and not row[-1].strip():
             row.pop()
-        if not any(header[len(row) :]):
-            row += [""] * (len(header) - len(row))
+        missing = header[len(row) :]
+        # Between commas a row may be too short or too long by decimals that were split off.
+        if not any(missing) if delimiter == "," else _SINGLE.isdisjoint(missing):
+            row += [""] * len(missing)
         # Decimals that are split off may fall into a last column without a name.
         names = len(header) - (delimiter == "," and header[-1] == "" and row[-1].strip().isdigit())
         if len(row) != names:
@@ -344,16 +352,19 @@ def _columns_of_runs(header: Sequence[str]) -> dict[int, tuple[str, str]]:
 
 
 def _check_columns_of_runs(where: str, header: Sequence[str], unit: str) -> None:
-    """Raise SurveyError for two columns of one run, and for a column beside those of runs that may be another run: it
-    would be missed by nobody."""
+    """Raise SurveyError for two columns of one run, and for a column beside those of runs that may be another run, or
+    is one without a unit: else it would be left out without a word."""
     for name in header:
         if _RUN.fullmatch(name) and header.count(name) > 1:
             raise SurveyError(f"{where}: {name} is given twice; allowed: one column for each run, with its number")
         own, ways, others = _parts_of_run(name)
         numbers = [one for one in others if one.isdigit()]
-        if f"deviation_{own}" == unit and max(len(ways), len(numbers)) < 2 and not _COMPUTED.intersection(others):
+        bare = not own and re.search(r"\d|forward|backward", _of_run(f"{name} m").partition(" ")[2])
+        vague = max(len(ways), len(numbers)) < 2 and not _COMPUTED.intersection(others)
+        if bare or (f"deviation_{own}" == unit and vague):
             raise SurveyError(
-                f"{where}: column '{name}' may be a run; allowed for a run: its number, and {', '.join(DIRECTIONS)}, + "
+                f"{where}: column '{name}' may be a run{' and has no unit' if bare else ''}; "
+                f"allowed for a run: a unit, its number, and {', '.join(DIRECTIONS)}, + "
                 f"or -, as in 'Run 1 forward [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
             )
 
@@ -364,7 +375,7 @@ def _a_row_for_each(
     """Header and rows with one column of deviation in place of one for each of ``runs``; an empty cell is no point."""
     shared = [at for at in range(len(header)) if at not in runs]
     found = [
-        (where, line, [*(row[at] for at in shared), f"{at}", way, row[at]])
+        (where, line, [*(row[at] for at in shared), f"column {at + 1}", way, row[at]])
         for where, line, row in rows
         for at, (_, way) in runs.items()
         if row[at].strip()

@@ -70,6 +70,7 @@ OUT, BACK = list(range(0, 601, 20)), list(range(600, -1, -20))
 FINE = list(range(0, 601, 5))
 UNITS = [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM]
 THREE = [f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)]
+COLUMNS = "x_mm,Run 1 forward (µm),Run 2 forward (µm),Run 3 forward (µm)"
 THERE = [10.0 * number for number in range(15)]
 TURNS = THERE + THERE[-2::-1]
 
@@ -128,6 +129,21 @@ TURNS = THERE + THERE[-2::-1]
             (f"x_mm,Run 1 (µm),{beside} (µm)", THREE, f"line·1 column·'{beside.lower().replace(' ', '·')} may·be·a·run")
             for beside in ("Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again")
         ),
+        ("x_mm,Run 1 [µm],Run 2", THREE, "line·1 column·'run·2' may·be·a·run·and·has·no·unit"),
+        ("x_mm,Forward [µm],Backward", THREE, "line·1 column·'backward' may·be·a·run·and·has·no·unit"),
+        ("Position,1+,1-\nmm,µm,", THREE, "line·2 column·'1-' may·be·a·run·and·has·no·unit"),
+        *(
+            (f"x_mm,{names}", [f"{row},0" for row in THREE], "line·1 deviation_um·stands·among·columns·of·runs")
+            for names in ("Run 1+ (µm),Run 1- (µm),Straightness (µm)", "Deviation (µm),Forward (µm),Backward (µm)")
+        ),
+        # Of columns of runs each is read or refused, and none takes the place of another.
+        (
+            COLUMNS,
+            [*(f"{x},{x % 30},{x % 30},{x % 30}" for x in range(0, 240, 10)), "50,,7,"],
+            "line·26 turns·back:·50·mm",
+        ),
+        (COLUMNS, [f"{x},{x % 30},{'7' * (x == 50)},{x % 30}" for x in range(0, 240, 10)], "column·3 1·points"),
+        ("x_mm;deviation_um;run", ["0;1"], "line·2 2·cells,·the·header·has·3"),
         *(
             (f"x_mm,{names}", [f"{row},0" for row in THREE], "line·1:·deviation_um·( run·1)·is·given·twice")
             for names in ("Run 1 (µm),run 1 [um],Run 2 (µm)", "1+ (µm),2+ (µm),1 fwd (µm)")
@@ -221,12 +237,32 @@ def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_
     assert [run.x.size for run in read(*lines).runs] == [24, 23]
     (run,) = read(*lines, names={"deviation": "Run 1 [um]"}).runs
     assert run.deviation.max() == pytest.approx(20e-6)
+    lines = "x_mm;run 1 [um];run 2 [um];mean [um]", *(f"{x};{x % 30}{f';{x};0' * (x < 210)}" for x in range(0, 240, 10))
+    assert [run.x.size for run in read(*lines).runs] == [24, 21]
 
 
 @pytest.mark.parametrize(
-    "beside", ["Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)", "run 3 (0.1 µm)", "run 3 (µm/m)"]
+    ("header", "names"),
+    [
+        ("x_mm,run 1 [um],deviation_um", {}),
+        ("x_mm,run 1 [um],deviation_um,run 2 [um]", {"deviation": "deviation_um"}),
+        ("direction,x_mm,run 1 [um],deviation_um,run 2 [um]", {}),
+    ],
 )
-def test_a_column_that_is_computed_of_runs_or_has_another_unit_is_no_run(read, beside):
+def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column_is_another_run(read, header, names):
+    first, after = "fwd," * header.startswith("direction"), ",7" * ("run 2" in header)
+    (run,) = read(header, *(f"{first}{x},{x % 40},{x % 30}{after}" for x in range(0, 240, 10)), names=names).runs
+    assert run.deviation.max() == pytest.approx(20e-6)
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        *("Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)"),
+        *("run 3 (0.1 µm)", "run 3 (µm/m)", "Temp run 1 (°C)", "Pass"),
+    ],
+)
+def test_a_column_that_is_computed_of_runs_or_has_another_unit_or_no_number_is_no_run(read, beside):
     rows = (f"{x},{x % 30},{x % 40},7" for x in range(0, 240, 10))
     assert len(read(f"x_mm,Run 1 (µm),Run 2 (µm),{beside}", *rows).runs) == 2
 
@@ -311,6 +347,7 @@ READ = {
     "typographic minus": csv("x_mm,deviation_um", lambda v: f"{v}".replace("-", "\u2212"), ","),
     "a header in a comment": "# x_mm,deviation_um\n" + csv("# made by hand", lambda v: f"{v}", ","),
     "separators after some rows": MM_UM.replace("\n40;", ";\n40;") + ";;\n;\n",
+    "rows that end before an empty cell": csv("x_mm;deviation_um;Remark", german).replace("\n40;", ";cold\n40;"),
     "separators after the header": MM_UM.replace("um\n", "um;;\n"),
     "a row of units without the last": csv("Position;Straightness;Remark\nmm;µm", lambda v: german(v) + ";"),
     **{
