@@ -24,7 +24,7 @@ from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
-from straightcomp_ros.straightness.survey import Run, Survey, write_survey
+from straightcomp_ros.straightness.survey import GRACE, Run, Survey, write_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
 from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
 
@@ -160,8 +160,8 @@ def as_it_is(guide: MapParameters) -> BuiltMap:
 def agreeing(
     survey: Survey, limit: float, guide: MapParameters = MAP
 ) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
-    """The runs without outliers, in their order; names of rejected runs; rejected points. SurveyError if the runs do
-    not fit together as ``guide`` demands."""
+    """The runs without outliers, in their order; names of rejected runs, also of those that have then fewer points or
+    wider gaps than ``guide`` allows; rejected points. SurveyError if the runs do not fit together as it demands."""
     x, values = on_common_grid(survey, guide.min_points, guide.max_gap)
     outlier = np.zeros(values.shape, np.bool_)
     rejected = np.zeros(len(values), np.bool_)
@@ -175,7 +175,7 @@ def agreeing(
         # The run's own point nearest to each bad point of the grid.
         nearest = np.unique([int(np.abs(run.x - at).argmin()) for at in x[bad]]).astype(np.intp)
         left = np.delete(run.x, nearest)
-        if gone or left.size < 2 or np.diff(left).max() > guide.max_gap + 1e-9:
+        if gone or left.size < guide.min_points or np.diff(left).max() > guide.max_gap + GRACE:
             lost.append(label)
             continue
         points += [(label, float(run.x[index])) for index in nearest]

@@ -38,6 +38,8 @@ from straightcomp_ros.straightness.survey_table import (
     table_of,
 )
 
+GRACE = 1e-9
+"""Length in m by which a gap may be too wide: 0.05 m steps read from decimal text differ in the last bit."""
 Groups = dict[tuple[str, Direction | None], list[tuple[int, float, float]]]
 """Points (line, x in m, deviation in m) by the name and the direction of their run."""
 
@@ -225,8 +227,7 @@ def check_run(
         raise SurveyError(f"{where}: {column} extends over {extent:.6g} m; allowed: {low:g} m to {high:g} m{hint}")
     steps = np.diff(run.x)
     widest = int(np.argmax(steps))
-    # A nanometre of grace: 0.05 m steps read from decimal text differ in the last bit.
-    if steps[widest] > max_gap + 1e-9:
+    if steps[widest] > max_gap + GRACE:
         raise SurveyError(
             f"{where}: no point between x = {run.x[widest] * 1e3:.10g} mm and {run.x[widest + 1] * 1e3:.10g} mm, "
             f"a gap of {steps[widest] * 1e3:.6g} mm; allowed: <= {max_gap * 1e3:.6g} mm (max_gap)"

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from straightcomp_ros.straightness.residual import Array, peak_to_peak
-from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey import GRACE, Survey
 from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
         raise SurveyError(f"survey {survey.source}: has no run; allowed: at least one")
     starts, ends = [run.x[0] for run in survey.runs], [run.x[-1] for run in survey.runs]
     for what, at in (("start", starts), ("end", ends)):
-        if max(at) - min(at) > max_gap:
+        if max(at) - min(at) > max_gap + GRACE:
             raise SurveyError(
                 f"survey {survey.source}: the runs {what} between x = {min(at) * 1e3:.10g} mm and "
                 f"{max(at) * 1e3:.10g} mm; allowed: within {max_gap * 1e3:.6g} mm (max_gap); was a run broken off?"

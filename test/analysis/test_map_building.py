@@ -7,6 +7,7 @@ import pytest
 from surveys import one_run
 
 from straightcomp_ros.analysis.map_building import FLOOR, Choices, build, disagreement
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey
 from straightcomp_ros.tuning.survey.recording import spikes
 
 
@@ -54,6 +55,17 @@ def test_the_worst_run_goes_first_and_the_others_are_judged_anew_while_there_are
     assert disagreement(values, 6.0)[0].tolist() == [False, True, False]
     found = disagreement(values[:2], 6.0)
     assert not found[0].any() and not found[1].any()
+
+
+def test_a_run_that_a_rejected_point_leaves_with_too_few_is_rejected_so_that_the_map_can_be_read(tmp_path):
+    x = np.linspace(0.0, 0.4, 20)
+    values = 1e-5 * np.sin(8.0 * x) + np.random.default_rng(3).normal(0.0, 3e-8, (10, 20))
+    values[2, 10] += 3e-6
+    runs = (Run(str(n // 2), ("forward", "backward")[n % 2], x, one) for n, one in enumerate(values))
+    built = build(Survey(tuple(runs)), Path(__file__), Choices(10e-3, 6.0))
+    assert (built.rejected_runs, built.rejected_points) == (["1 forward"], [])
+    built.write(tmp_path / "map.csv")
+    assert len(read_survey(tmp_path / "map.csv").runs) == 9
 
 
 def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whole():

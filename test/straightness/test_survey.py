@@ -423,6 +423,13 @@ def test_the_grid_keeps_to_what_all_runs_cover():
     np.testing.assert_allclose(values[0], _bow(x), atol=1e-12)
 
 
+def test_a_run_that_ends_a_point_early_is_kept_whatever_the_last_bit_of_its_x_says():
+    steps = np.arange(25) / 20.0
+    assert steps[-1] - steps[-2] > 0.05
+    x, _, _ = _grid(_run("forward", x=steps), _run("backward", x=steps[:-1]))
+    np.testing.assert_array_equal(x, steps[:-1])
+
+
 def test_directions_weigh_the_same_whatever_the_number_of_their_runs():
     x, values, survey = _grid(_run("forward", 0.0), _run("forward", 0.0), _run("forward", 0.0), _run("backward", 4e-8))
     np.testing.assert_allclose(repeatability(survey, x, values).mean, _bow(GRID) + 2e-8, rtol=1e-12)
