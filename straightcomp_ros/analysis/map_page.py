@@ -51,7 +51,7 @@ def plot_map(built: BuiltMap, path: Path, machine: str = "") -> None:
         height = 0.94
         for name, text in facts:
             figure.text(left, height, name, fontsize=6.5, color=SOFT)
-            for line in textwrap.wrap(text, _LONGEST)[:_LINES] or [""]:
+            for line in textwrap.wrap(text, _LONGEST, max_lines=_LINES, placeholder=" …") or [""]:
                 figure.text(left + 0.115, height, as_text(line), fontsize=6.5)
                 height -= 0.0145
     for name, left, right in (("Measured by", 0.06, 0.36), ("Date", 0.40, 0.58), ("Signature", 0.62, 0.94)):
@@ -87,11 +87,13 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
     """The figures, in words."""
     figures, found, noise = built.figures(), built.straightness.report, built.straightness.noise
     runs = [one.runs if one else 0 for one in (found.forward, found.backward)]
-    yield "runs", f"{runs[0]} forward, {runs[1]} backward; rejected: {len(built.rejected_runs)}"
+    yield "runs", f"{runs[0]} forward, {runs[1]} backward"
     steps = np.diff(found.x) * 1e3
     unequal = f" ({steps.min():.4g} to {steps.max():.4g})" if np.ptp(steps) > 0.01 else ""
     spacing = f"{np.median(steps):.4g} mm{unequal}"
-    yield "points", f"{len(found.x)}, spacing {spacing}; rejected: {len(built.rejected_points)}"
+    yield "points", f"{len(found.x)}, spacing {spacing}"
+    # The map's file says it: of one that was made before, nothing is rejected any more.
+    yield "outliers", built.provenance.get("runs", "").partition("; ")[2] or "not stated"
     yield "x", f"{figures['first_mm']:.6g} to {figures['last_mm']:.6g} mm"
     for one in built.statements:
         value, uncertainty = one.value * 1e6, one.expanded_uncertainty * 1e6

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.analysis import map_page
-from straightcomp_ros.analysis.map_building import Choices, build
+from straightcomp_ros.analysis.map_building import Choices, as_it_is, build
 from straightcomp_ros.analysis.metrics import LINES
+from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import Run, Survey
 
 X = np.linspace(0.0, 0.4, 41)
@@ -58,7 +59,7 @@ def test_the_page_and_the_figures_state_the_same_straightness_of_a_noisy_survey(
         assert any(text.startswith(stated) and "ISO 230-1" in text for text in facts(drawn[0]))
 
 
-def test_rejected_runs_and_points_are_drawn_where_they_were_measured(drawn):
+def test_rejected_runs_and_points_are_drawn_where_they_were_measured_and_named_by_every_page(drawn, tmp_path):
     random = np.random.default_rng(0)
     runs = [run(str(k), "forward", random.normal(0.0, 3e-8, X.size)) for k in range(6)]
     spike = np.where(np.arange(X.size) == 20, 2e-6, 0.0)
@@ -70,4 +71,7 @@ def test_rejected_runs_and_points_are_drawn_where_they_were_measured(drawn):
     lower = lines(drawn[0].axes[1])
     assert lower["rejected point"] == pytest.approx([2.0], abs=0.1)
     assert lower["rejected run"][-5:] == pytest.approx(3.0, abs=0.1)
-    assert "6 forward" not in (page := facts(drawn[0])) and "5 forward, 0 backward; rejected: 1" in page
+    built.write(tmp_path / "map.csv")
+    map_page.plot_map(as_it_is(MapParameters(file=str(tmp_path / "map.csv"))), Path("map.png"))
+    for page in map(facts, drawn):
+        assert {"5 forward, 0 backward", "rejected runs: 4 forward; rejected points: 1"} <= {*page}
