@@ -35,8 +35,8 @@ def rows(pool, **changes):
     return table_of(StrokeRow, [replace(row, **(unchanged | changes)) for row in pool[BASE] * 10]).to_pylist()
 
 
-def proposal_of(strokes, *guide):
-    return proposed_map(pyarrow.Table.from_pylist(strokes, schema_of(StrokeRow)), OLD, 7.0, *guide)
+def proposal_of(strokes, *guide, old=OLD):
+    return proposed_map(pyarrow.Table.from_pylist(strokes, schema_of(StrokeRow)), old, 7.0, *guide)
 
 
 def test_strokes_without_a_sensor_or_with_another_map_are_refused(pool):
@@ -61,6 +61,13 @@ def test_only_strokes_with_that_map_make_the_proposal(pool):
     assert provenance["made by"].startswith("straightcomp history map")
     assert provenance["proposed from"].startswith(f"{len(ours)} strokes")
     assert provenance["changes"].startswith("map survey_synthetic.csv, BLAKE2b")
+
+
+def test_a_proposal_counts_x_from_the_old_maps_reference(pool, tmp_path):
+    old, new = tmp_path / "old.csv", tmp_path / "new.csv"
+    old.write_text(f"# encoder reference: index 3\n{OLD.read_text()}")
+    proposal_of(rows(pool, map_checksum=checksum_of([old.read_bytes()])), old=old).built.write(new)
+    assert read_survey(new).mark == "index 3"
 
 
 def test_jogs_make_no_proposal_and_change_none(pool):

@@ -23,7 +23,7 @@ from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, on_one_gri
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
-from straightcomp_ros.straightness.survey import Run, Survey, read_survey
+from straightcomp_ros.straightness.survey import Run, read_survey
 from straightcomp_ros.straightness.survey_table import WAYS
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float, guide: MapParam
         "changes": f"map {old.name}, BLAKE2b {checksum}",
     }
     choices = Choices(step=1e-3 * BIN_MM, limit=OUTLIERS, guide=guide)
-    built = build(Survey(tuple(runs), str(old)), old, choices, inputs)
+    built = build(replace(before.survey, runs=tuple(runs)), old, choices, inputs)
     made = built.provenance["made by"].replace("map build", "history map")
     built = replace(built, provenance={**built.provenance, "made by": made})
     at = built.straightness.report.x
