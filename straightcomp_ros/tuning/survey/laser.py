@@ -28,7 +28,10 @@ from straightcomp_ros.straightness.survey import Survey, orient
 from straightcomp_ros.straightness.survey_table import DIRECTIONS, WAYS, SurveyError, number, numbered_lines
 from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
-_OTHER_KINDS = re.compile(r"angular|pitch|yaw|roll|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE)
+_OTHER_KINDS = re.compile(
+    r"(?<![a-z])(?:angular|pitch|yaw|roll(?![a-z])|rotary|flatness|squareness|dynamic|diagonal|velocity)", re.IGNORECASE
+)
+_SAYS_THE_KIND = re.compile(r"type\b|measurement|(?<![a-z])mode(?![a-z])")
 _BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
 
 
@@ -115,8 +118,7 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
 
 
 def _refuse_other_kinds(where: str, name: str, value: str) -> None:
-    kind = _OTHER_KINDS.search(value) if "type" in name or "measurement" in name or "mode" in name else None
-    if kind:
+    if _SAYS_THE_KIND.search(name) and _OTHER_KINDS.search(value):
         raise SurveyError(f"{where}: the measurement is {value.strip()!r}; allowed: one of straightness")
 
 
