@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from datetime import date, datetime, timedelta, timezone
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import day_levels, levels_of
-from straightcomp_ros.fleet.maintenance.stage_report import faults_over_time
+from straightcomp_ros.fleet.maintenance.stage_report import evidence, faults_over_time
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
 from trials.wear import BAGS_A_DAY, SOUND, WEARS, alarms_of, judged, months
@@ -56,6 +57,35 @@ def test_a_guide_that_moved_has_a_place_and_if_it_moved_at_once_its_bolts_are_lo
     assert abs(found.place.first - 300) <= 20 and abs(found.place.last - 420) <= 20
     assert f"x = {found.place.first} to {found.place.last} mm" in found.text
     assert cause == "guide" or found.since == date(2026, 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("moves", "days", "places"),
+    [
+        ({300: STEP}, BEGIN + 1, [300]),
+        ({300: STEP}, BEGIN + 3, [300]),
+        ({300: (PLACES >= 40) & (PLACES < 60)}, DAYS, [300]),
+        ({300: (PLACES >= 40) & (PLACES < 42)}, DAYS, [300]),
+        ({300: (PLACES >= 40) & (PLACES < 60), 700: PLACES >= 100}, DAYS, [700, 300]),
+    ],
+)
+def test_the_place_is_that_of_the_last_days_of_the_move_however_new_or_long_ago_it_is(make_levels, moves, days, places):
+    """In the text, in the file of advice, and as the stretch and the last curve of the evidence."""
+    whole = make_levels(guide=sum(np.outer(0.5 * when, bump(at, at + 120)) for at, when in moves.items()))
+    levels = replace(
+        whole,
+        day=whole.day[:days],
+        columns={name: values[:days] for name, values in whole.columns.items()},
+        profiles={name: values[:days] for name, values in whole.profiles.items()},
+        settings={name: values[:days] for name, values in whole.settings.items()},
+    )
+    found = advice_of(levels)
+    assert [one.cause for one in found] == ["bolt"] * len(places)
+    for one, at in zip(found, places, strict=True):
+        assert np.abs(np.subtract(one.place, (at, at + 120))).max() <= 20
+        assert f"x = {one.place.first} to {one.place.last} mm by 0.5" in one.text
+        x, newest = evidence(levels, one).data[-1].x, np.abs(evidence(levels, one).data[-1].y)
+        assert at < x[newest.argmax()] < at + 120 and newest.max() > 0.25
 
 
 def of_strokes(make_levels, guide, maps):

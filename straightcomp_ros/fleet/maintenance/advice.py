@@ -33,7 +33,7 @@ from straightcomp_ros.fleet.maintenance.day_levels import (
     DayLevels,
     median_of,
 )
-from straightcomp_ros.fleet.maintenance.level_change import WEEK, LevelChange, Place, changes_of_figure, moved_place
+from straightcomp_ros.fleet.maintenance.level_change import LevelChange, Place, changes_of_figure, moved_place
 
 _SAME_TIME = 3
 """Days between an update and a change that it may have made."""
@@ -170,8 +170,7 @@ def _update_at(levels: DayLevels, place: int) -> str:
 def _advice(levels: DayLevels, change: LevelChange, others: list[LevelChange]) -> Advice:
     name, rose, since, place = change.figure, change.after > change.before, levels.date(change.begin), None
     if name == GUIDE:
-        week = median_of(levels.shifts[levels.measured[-WEEK:]])
-        place = moved_place(week, levels.x)
+        place = moved_place(median_of(levels.shifts[list(change.days)]), levels.x)
         cause = "bolt" if change.step else "guide"
         moved = f"the guide moved from x = {place.first} to {place.last} mm by {change.after:.3g} µm"
     else:

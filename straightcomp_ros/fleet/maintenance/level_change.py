@@ -53,7 +53,8 @@ class LevelChange(NamedTuple):
     found: int  # place of the day whose level gave the alarm
     ended: int | None  # place of the day from which the level counts as back at its baseline; None while it is not
     before: float  # median of the baseline
-    after: float  # median of the last days of the change, at most a week
+    days: tuple[int, ...]  # places of the last days of the change, at most a week
+    after: float  # median of these days
     step: bool  # whether it came within days; otherwise the level drifts
 
     @property
@@ -107,10 +108,11 @@ def changes_of_figure(levels: Array, watched: Watched) -> list[LevelChange]:
         begin, step = _onset(values[start:stop] / baseline.sigma)
         # It cannot have begun after it was found.
         begin = min(start + begin, found)
-        after = float(np.median(values[begin:stop][-WEEK:]))
+        last = slice(max(begin, stop - WEEK), stop)
+        days, after = tuple(known[last].tolist()), float(np.median(values[last]))
         ended = None if ended is None else int(known[ended])
-        days = (int(known[begin]), int(known[found]), ended)
-        changes.append(LevelChange(watched.name, *days, baseline.centre, after, step))
+        when = (int(known[begin]), int(known[found]), ended)
+        changes.append(LevelChange(watched.name, *when, baseline.centre, days, after, step))
         start = stop
     return changes
 

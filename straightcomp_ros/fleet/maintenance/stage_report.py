@@ -203,21 +203,21 @@ def evidence(levels: DayLevels, advice: Advice) -> go.Figure:
         corner = {"xref": "paper", "yref": "paper", "x": 0.01, "y": 0.98, "showarrow": False}
         figure.add_annotation(text="green: baseline; dotted: began; red: alarm", **corner)
         return figure
-    measured = levels.measured
+    measured = levels.measured[levels.measured <= first.days[-1]]
     figure = line_figure("slider position x / mm", "change of the guide / µm")
     figure.update_layout(height=_MIDDLE)
-    # From then to now, the last one strongest.
-    chosen = np.unique(np.linspace(WEEK, len(measured), 5).astype(int))
-    for number, stop in enumerate(chosen):
-        days = measured[max(0, stop - WEEK) : stop]
-        newest = number == len(chosen) - 1
+    # From the baseline to the last days of the change, which are strongest.
+    stops = np.linspace(WEEK, measured.size, 5).astype(int).tolist()
+    weeks = [*(measured[stop - WEEK : stop].tolist() for stop in stops[:-1]), list(first.days)]
+    for number, days in enumerate(weeks):
+        newest = number == len(weeks) - 1
         figure.add_scatter(
             x=levels.x * 1e3,
             y=median_of(levels.shifts[days]),
-            name=f"week until {levels.date(int(days[-1]))}",
+            name=f"{levels.date(days[0])} to {levels.date(days[-1])}",
             mode="lines",
             line={"color": VERMILION if newest else BLUE, "width": 2.5 if newest else 1},
-            opacity=1.0 if newest else 0.25 + 0.6 * number / len(chosen),
+            opacity=1.0 if newest else 0.25 + 0.6 * number / len(weeks),
         )
     if advice.place is not None:
         figure.add_vrect(advice.place.first, advice.place.last, fillcolor=VERMILION, opacity=0.1, line_width=0)
