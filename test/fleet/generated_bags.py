@@ -25,15 +25,15 @@ def run() -> tuple[dict[str, StreamColumns], dict[str, bytes]]:
     return read_streams(SMC, layouts), read_attachments(SMC)
 
 
-def write_bag(folder: Path, number: int, stages: int = 1, parameters: str | None = None) -> None:
+def write_bag(folder: Path, number: int, stages: int = 1, parameters: str | None = None, **split: float) -> None:
     """Write bag ``number``, from 0, of so many stages in turn, named by their numbers but for other ``parameters``;
-    every number makes other messages, always the same."""
+    every number makes other messages, always the same. ``split`` is that of the writer."""
     streams, attachments = run()
     own = attachments[PARAMETERS_ATTACHMENT].decode().replace("name: synthetic", f"name: stage_{number % stages}")
     attachments = {**attachments, PARAMETERS_ATTACHMENT: (parameters or own).encode()}
     shift = FIRST_NS + number // stages * STEP_NS - int(streams[ENCODER.topic].stamp[0])
     random, messages = np.random.default_rng(number), []
-    with BagWriter(folder) as bag:
+    with BagWriter(folder, **split) as bag:
         for stream in ALWAYS_PUBLISHED:
             bag.add(Topic(f"/{stream.topic}", stream.layout.type_name))
             recorded, layout = streams[stream.topic], stream.layout

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 from places import BAGS, SMC
 
+from straightcomp_ros.fleet.history import StorageError
 from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
 
 
@@ -79,6 +80,26 @@ def test_a_file_that_vanishes_while_its_folder_is_listed_hides_no_other(tmp_path
 
     monkeypatch.setattr(os, "scandir", listed)
     assert [place.location for place in bags_in(str(tmp_path))] == [str(tmp_path / "there.mcap")]
+
+
+def test_a_folder_that_may_not_be_listed_hides_no_other_and_the_one_that_is_named_is_an_error(tmp_path, monkeypatch):
+    kept = tmp_path / "bags" / "lost+found"
+    for folder in (kept, tmp_path / "bags" / "there"):
+        folder.mkdir(parents=True)
+        (folder / "bag.mcap").write_bytes(b"")
+    scandir = os.scandir
+
+    def listed(folder):
+        if os.fspath(folder) == str(kept):
+            raise PermissionError(13, "Permission denied", str(kept))
+        return scandir(folder)
+
+    monkeypatch.setattr(os, "scandir", listed)
+    with pytest.warns(UserWarning, match=r"lost\+found: left out, since it cannot be listed: Permission denied"):
+        found = list(bags_in(str(tmp_path)))
+    assert [place.location for place in found] == [str(tmp_path / "bags" / "there" / "bag.mcap")]
+    with pytest.raises(StorageError, match="Permission denied"):
+        list(bags_in(str(kept)))
 
 
 def test_following_adds_bags_as_they_are_finished_until_it_is_interrupted(tmp_path):

@@ -13,6 +13,7 @@ import fsspec
 import pyarrow.dataset
 import pyarrow.parquet
 import pytest
+from generated_bags import write_bag
 from places import BAGS, SMC
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from stores import COUNT, added, files_of, strokes_of
@@ -208,6 +209,22 @@ def test_a_sqlite_bag_is_refused_until_its_recorder_has_described_it_at_last(tmp
     elsewhere.put(str(bag), "/run", recursive=True)
     (file,) = bag.glob("*.db3")
     assert added(store, f"memory://run/{file.name}").added == 1
+
+
+def test_a_split_bag_is_refused_until_its_last_file_the_metadata_has_been_copied(tmp_path):
+    """The files that are there may be whole, but not all."""
+    whole, bag, store = tmp_path / "whole", tmp_path / "run", tmp_path / "store"
+    write_bag(whole, 0, max_duration=2.0)
+    first, second, *others = sorted(whole.glob("*.mcap"))
+    bag.mkdir()
+    for file in (first, second):
+        shutil.copy(file, bag)
+    assert others and added(store, bag).refused == 1
+    reason = Store(str(store)).query("SELECT reason FROM refused").to_pylist()[0]["reason"]
+    assert "was not finished" in reason and "ros2 bag reindex" in reason
+    for file in (*others, whole / "metadata.yaml"):
+        shutil.copy(file, bag)
+    assert added(store, bag).added == 1 and [row["stroke"] for row in strokes_of(store)] == [1, 2]
 
 
 @pytest.mark.parametrize(

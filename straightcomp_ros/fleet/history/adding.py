@@ -14,7 +14,7 @@ from pathlib import Path
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError, noting_warnings
-from straightcomp_ros.bags.folder import SqliteInput, found_files
+from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
@@ -120,7 +120,8 @@ def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[
 
 
 def _check_finished(files: Sequence[Path]) -> None:
-    """Raise BagError for a bag that is being written or was cut off: its last stroke may be half a stroke."""
+    """Raise BagError for a bag that is being written or copied, or was cut off: its last stroke may be half a stroke,
+    or more may follow."""
     for file in files:
         if file.suffix == ".mcap":
             with McapInput(file) as opened:
@@ -129,11 +130,12 @@ def _check_finished(files: Sequence[Path]) -> None:
                         f"bag {file} was not finished, or its end is damaged; save what is there with `straightcomp "
                         "recover`, and add that"
                     )
-        elif not SqliteInput(file).finished:
-            raise BagError(
-                f"bag {file} was not finished: it has no metadata.yaml; finish it with `ros2 bag reindex` when its "
-                "recorder has ended, and add its folder"
-            )
+    of_one_mcap = len(files) == 1 and files[0].suffix == ".mcap"
+    if not (of_one_mcap or files[0].with_name("metadata.yaml").exists()):
+        raise BagError(
+            f"bag {files[0]} was not finished: it has no metadata.yaml; when all its files are there, make it with "
+            "`ros2 bag reindex`, and add its folder"
+        )
 
 
 def _blocks(file: Path) -> Iterator[bytes]:

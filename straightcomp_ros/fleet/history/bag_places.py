@@ -6,6 +6,7 @@ Folders that grow are listed again and again, since network file systems and S3 
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -69,7 +70,8 @@ def bags_in(url: str) -> Iterator[BagPlace]:
 
     A folder with metadata.yaml is a bag, as is one whose files are splits of recordings by their numbers (of several
     recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
-    their own. Links to folders are not followed.
+    their own. Links to folders are not followed. A folder below that this user may not list is left out, with a warning
+    (UserWarning).
 
     Raises:
         HistoryError: nothing is there.
@@ -124,7 +126,11 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
         yield BagPlace(_location(files, f"{path}/{name}", local), (), *known[name])
     for name, folder, *_ in entries:
         if folder:
-            yield from _below(files, f"{path}/{name}", local)
+            try:
+                yield from _below(files, f"{path}/{name}", local)
+            except PermissionError as error:
+                why = error.strerror or error
+                warnings.warn(f"folder {path}/{name}: left out, since it cannot be listed: {why}", stacklevel=2)
 
 
 def _listed(files: Any, path: str) -> Iterator[tuple[str, bool, int, datetime | None]]:
