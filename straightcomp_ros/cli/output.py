@@ -100,7 +100,7 @@ def print_written(*files: object, then: str) -> None:
     notes.print(f"written: {', '.join(map(str, files))}\nnext: {then}")
 
 
-def print_json(values: Mapping[str, Any], default: Callable[[Any], str] | None = None) -> None:
+def print_json(values: Mapping[str, Any], default: Callable[[Any], Any] | None = None) -> None:
     """Print one JSON object; a number that is not finite becomes null, as JSON has no word for it, and what else it has
     no word for ``default`` of that."""
     print(json.dumps(plain(values), default=default))

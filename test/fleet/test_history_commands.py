@@ -62,6 +62,10 @@ def test_a_named_bag_that_was_refused_is_refused_as_long_as_it_is_unchanged(tmp_
             "SELECT count(*) AS n, min(x_mm) AS first, max(x_mm) AS last, count(error_um) AS known FROM bins",
             {"n": 40 * COUNT, "first": 0, "last": 190, "known": 40 * COUNT},
         ),
+        (
+            "SELECT sum(stroke) AS whole, {'of': sum(stroke)} AS inside, 2.50 AS decimal FROM strokes",
+            {"whole": 3 * COUNT, "inside": {"of": 3 * COUNT}, "decimal": 2.5},
+        ),
     ],
 )
 def test_a_query_prints_one_json_object_with_times_as_iso_and_the_bins_are_a_table(alone, history, sql, row):

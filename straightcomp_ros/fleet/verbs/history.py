@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import date, datetime, timezone
+from decimal import Decimal
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -145,12 +146,19 @@ def _query(options: argparse.Namespace) -> None:
     found = Store(options.store).query(options.sql, options.force)
     rows = found.to_pylist()
     if options.json:
-        print_json({"rows": rows}, lambda value: value.isoformat() if isinstance(value, date) else str(value))
+        print_json({"rows": rows}, _in_json)
     elif found.column_names:
         numbers = (types.is_integer, types.is_floating, types.is_decimal)
         left = {field.name for field in found.schema if not any(is_kind(field.type) for is_kind in numbers)}
         below = ([shown(value) for value in row.values()] for row in rows)
         console.print(titled_table(f"rows: {len(rows)}", *found.column_names, left=left, rows=below))
+
+
+def _in_json(value: Any) -> Any:
+    """What JSON has in the place of a value that it has no word for; a sum of integers is a decimal in DuckDB."""
+    if isinstance(value, Decimal):
+        return float(value) if value.as_tuple().exponent else int(value)
+    return value.isoformat() if isinstance(value, date) else str(value)
 
 
 def _advise_arguments(parser: argparse.ArgumentParser) -> None:
