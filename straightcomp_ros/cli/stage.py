@@ -5,6 +5,7 @@ import itertools
 import math
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -25,13 +26,20 @@ from straightcomp_ros.cli.options import (
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written
 from straightcomp_ros.cli.results import show_findings, titled_table
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters
-from straightcomp_ros.parameters.declaration import Declaration, ParameterError, declarations, from_mapping
+from straightcomp_ros.parameters.declaration import (
+    Declaration,
+    ParameterError,
+    RefusedParameter,
+    declarations,
+    from_mapping,
+)
 from straightcomp_ros.parameters.node_parameters import STAGE, ControllerNodeParameters, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, commented
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
+from straightcomp_ros.straightness.guide_map import find_survey, load_map
 from straightcomp_ros.straightness.survey import read_survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 SUMMARY = "describe your own stage: write the description, check it, show what follows"
 PURPOSE = "set up"
@@ -66,29 +74,39 @@ def _new(options: argparse.Namespace) -> None:
     file, survey = options.folder / FILE, options.folder / SURVEY
     declared = {one.name: one for one in declarations(StageParameters)}
     given = _given(options.set)
-    source = find_survey(options.survey or MapParameters().file)
+    guide = from_mapping(StageParameters, given).guide
+    source = find_survey(options.survey or guide.file)
     for path in (file, survey):
         if path.exists() and not options.force and not path.samefile(source):
             raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
-    guide = from_mapping(StageParameters, given).guide
     x = [run.x for run in read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
     # Only now: a survey that is refused leaves no empty folder.
     folder = output_folder("DIR", str(options.folder))
     found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
-    if sys.stdin.isatty() and not options.yes:
-        answers = {name: _asked(declared[name]) for name in _ASKED.split() if name not in given}
-        given |= {name: answer for name, answer in answers.items() if answer is not None}
-    values = {**found, **given, "guide.file": SURVEY}
-    # Refused before anything is written.
-    from_mapping(StageParameters, values)
+    asks = sys.stdin.isatty() and not options.yes
+    names = [name for name in _ASKED.split() if asks and name not in given]
+    while True:
+        answers = {name: _asked(declared[name]) for name in names}
+        given = {name: value for name, value in {**given, **answers}.items() if value is not None}
+        values = {**found, **given, "guide.file": SURVEY}
+        try:
+            # Refused before anything is written.
+            from_mapping(StageParameters, values)
+            break
+        except RefusedParameter as error:
+            if not asks:
+                raise
+            # What does not fit the other answers is asked for alone, so that those are kept.
+            print(f"  {error}")
+            names = [error.group + error.name]
     if not (survey.exists() and survey.samefile(source)):
         write_whole(survey, source.read_bytes())
     described = {f"{STAGE}.{name}": value for name, value in values.items()}
     text = commented(ALL_NODES, declarations(StageParameters, f"{STAGE}."), described)
     write_whole(file, _HEAD.format(name=values["name"]) + "\n" + text)
     console.print(f"{file}: facts given: {len(given)}; name and strokes by folder and survey, defaults for the others")
-    if options.survey is None:
+    if options.survey is None and "guide.file" not in given:
         console.print(f"{survey} is the synthetic survey: replace it by that of your guide")
     print_written(file, survey, then=f"straightcomp stage check {quote(str(file))}")
 
@@ -141,8 +159,10 @@ def _check(options: argparse.Namespace) -> int:
         from straightcomp_ros.analysis.map_building import as_it_is
         from straightcomp_ros.analysis.map_page import plot_map
 
-        plot_map(as_it_is(controller.stage.guide), plot, controller.stage.name)
-        notes.print(f"written: {plot}")
+        # A survey that is refused is a finding above.
+        with suppress(SurveyError):
+            plot_map(as_it_is(controller.stage.guide), plot, controller.stage.name)
+            notes.print(f"written: {plot}")
     if not (code or options.json):
         file = quote(options.file)
         todo = f"simulate --stage {file}" if _gains_fit(controller) else f"design {file} -o {file}"

@@ -48,6 +48,16 @@ def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, 
     assert (folder / "survey.csv").read_bytes() == file.read_bytes()
 
 
+def test_a_survey_that_is_given_as_a_fact_is_copied_as_one_of_the_option_is(tmp_path, new, survey, monkeypatch):
+    file = survey(100, 700)
+    monkeypatch.chdir(tmp_path)
+    said = new("one", "--set", f"stage.guide.file={file.name}")
+    assert said.code == 0 and "synthetic" not in said.out
+    assert (tmp_path / "one" / "survey.csv").read_bytes() == file.read_bytes()
+    stage = from_mapping(StageParameters, read_stage_file(tmp_path / "one" / "stage.yaml")["stage"])
+    assert stage.guide.file == str(tmp_path / "one" / "survey.csv") and stage.motion.start == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("name", ["Bench 3, left gantry, axis X, " * 5 + "since May", "two\\nlines: ["])
 def test_a_new_stage_has_the_name_that_was_given_however_long(tmp_path, new, name):
     assert new(tmp_path / "one", "--set", f'name="{name}"').code == 0
@@ -104,6 +114,33 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
     assert stage.rate == 4000 and stage.platform == StageParameters().platform
 
 
+@pytest.mark.parametrize(
+    ("answers", "facts"),
+    [
+        (
+            {"Air gap": ["0.001"], "Mechanical stop": ["", "0.0008"]},
+            {"actuator.air_gap": 1e-3, "platform.stop": 8e-4},
+        ),
+        ({"Cruising speed": ["1.5"], "Speed that": ["2.5"]}, {"motion.speed": 1.5, "motion.highest_speed": 2.5}),
+        (
+            {"Samples": ["4000"], "Coulomb friction": ["2.0"], "Static friction": ["", "2.5"]},
+            {"rate": 4000, "friction.coulomb": 2.0, "friction.static": 2.5},
+        ),
+    ],
+)
+def test_what_does_not_fit_the_answers_is_asked_for_until_it_does_and_they_are_kept(
+    tmp_path, monkeypatch, verb, answers, facts
+):
+    left = {words: iter(texts) for words, texts in answers.items()}
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr(
+        "builtins.input", lambda question: next((next(texts) for words, texts in left.items() if words in question), "")
+    )
+    said = verb("stage", "new", tmp_path / "one")
+    assert said.code == 0 and f"facts given: {len(facts)};" in said.out
+    assert read_stage_file(tmp_path / "one" / "stage.yaml")["stage"].items() >= facts.items()
+
+
 @pytest.mark.parametrize(("stroke", "worst"), [(1.76, "ok"), (1.77, "warn"), (2.0, "fail")])
 def test_a_check_fails_exactly_where_a_finding_does_and_a_new_stage_has_none(tmp_path, new, verb, stroke, worst):
     assert new(tmp_path / "one", *([] if worst == "ok" else [f"--set=motion.stroke={stroke}"])).code == 0
@@ -139,9 +176,10 @@ def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path,
 
 def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(tmp_path, verb):
     (tmp_path / "stage.yaml").write_text("/**:\n  ros__parameters:\n    stage.guide.file: nowhere.csv\n")
-    found = verb("stage", "check", tmp_path / "stage.yaml", "--json")
-    assert found.code == 1
-    assert found.json["checks"][0]["detail"] == f"survey {tmp_path}/nowhere.csv: there is no such file"
+    for plot in ([], ["--plot", tmp_path / "map.pdf"]):
+        found = verb("stage", "check", tmp_path / "stage.yaml", *plot, "--json")
+        assert (found.code, found.err) == (1, "") and not (tmp_path / "map.pdf").exists()
+        assert found.json["checks"][0]["detail"] == f"survey {tmp_path}/nowhere.csv: there is no such file"
 
 
 def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, new, survey, verb):
