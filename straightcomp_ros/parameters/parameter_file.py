@@ -20,9 +20,12 @@ ALL_NODES = "/**"
 DEFAULT_FILE = "config/straightcomp.yaml"
 DEFAULT_STAGE = "config/stage_synthetic.yaml"
 """Installed files: settings of the nodes, and the description of the synthetic stage."""
+_OF_STAGE = ("guide.file", "motion.file")
 _FILES = (
-    *((STAGE, "guide.file"), (STAGE, "motion.file"), ("driver", "can.dbc")),
-    *(("driver", "simulated.truth.guide"), ("driver", "simulated.truth.disturbances.force_file")),
+    *((STAGE, name) for name in _OF_STAGE),
+    *((node, f"{STAGE}.{name}") for node in NODE_PARAMETERS for name in _OF_STAGE),
+    *(("driver", "can.dbc"), ("driver", "simulated.truth.guide")),
+    ("driver", "simulated.truth.disturbances.force_file"),
 )
 """Node and parameter of the files that a stage file may name; they are read and never written."""
 _LEVELS = {"**": r"(/\w+)*", "*": r"/\w+"}

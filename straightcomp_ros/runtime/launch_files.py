@@ -165,7 +165,10 @@ def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[
             continue  # The node refuses it, and says why.
         if path == (stage or file):
             found = files_beside(path, values)
-            given = {f"{STAGE}.{name}": named for name, named in found.get(STAGE, {}).items()} | found.get(node, {})
+            described = {f"{STAGE}.{name}": named for name, named in found.get(STAGE, {}).items()}
+            # A file of the node's own takes precedence, wherever it is.
+            given = {name: named for name, named in described.items() if name not in values[node]}
+            given |= found.get(node, {})
     for argument in overrides:
         if value := LaunchConfiguration(argument).perform(context):
             parameter, kind, _ = OVERRIDES[argument]

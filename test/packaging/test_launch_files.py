@@ -222,6 +222,22 @@ def test_a_survey_next_to_the_description_is_found_wherever_the_launch_is_starte
         assert given["stage.guide.file"].args == (str(stage.with_name("guide.csv")),)
 
 
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_node_s_own_survey_takes_precedence_over_that_of_all_wherever_it_is(stage, beside, monkeypatch):
+    work = stage.parent / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    own = stage.with_name("own.csv") if beside else work / "own.csv"
+    own.touch()
+    section = "{ros__parameters: {stage.guide.file: own.csv}}"
+    stage.write_text(f"{{{stage.read_text()}, feedforward: {section}}}")
+    nodes = of_kind("Node", CELL, stage=str(stage))
+    parameters = nodes[named(nodes).index("feedforward")].kwargs["parameters"]
+    given = [one["stage.guide.file"].args for one in parameters if isinstance(one, dict)]
+    # The node finds what is in the working directory by itself.
+    assert given == [(str(own),)] * beside
+
+
 @pytest.mark.parametrize("composed", ["true", "false"])
 @pytest.mark.parametrize("argument", ["stage", "params_file"])
 def test_a_file_for_another_namespace_only_starts_no_node(stage, argument, composed):

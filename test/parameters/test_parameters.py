@@ -280,13 +280,18 @@ def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tm
 
 
 @pytest.mark.parametrize(
-    ("node", "name"), [("stage", "motion.file"), ("driver", "simulated.truth.disturbances.force_file")]
+    ("node", "name"),
+    [
+        ("stage", "motion.file"),
+        ("driver", "simulated.truth.disturbances.force_file"),
+        ("feedforward", "stage.guide.file"),
+    ],
 )
 def test_a_file_that_a_stage_file_names_is_that_in_its_folder_before_one_in_the_working_directory(
     tmp_path, monkeypatch, node, name
 ):
-    path, full = tmp_path / "stage.yaml", name if node == "driver" else f"stage.{name}"
-    path.write_text(f"/**{'/driver' if node == 'driver' else ''}: {{ros__parameters: {{{full}: named.csv}}}}")
+    path, key = tmp_path / "stage.yaml", "/**" if node == "stage" else node
+    path.write_text(f"{key}: {{ros__parameters: {{{'stage.' if node == 'stage' else ''}{name}: named.csv}}}}")
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     for file in (tmp_path / "named.csv", tmp_path / "work" / "named.csv"):
