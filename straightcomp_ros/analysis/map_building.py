@@ -80,7 +80,9 @@ class BuiltMap:
         """The straightness of the map, the mean of both directions, about each line, with its uncertainty."""
         x = np.linspace(*self.straightness.span, POINTS)
         curve = (x, x, self.straightness.deviations(x))
-        return stated("before", "forward", [curve], [map_input(self.straightness, seen=True)], repeats=False)
+        return stated(
+            "before", "forward", [curve], [map_input(self.straightness, seen=True)], repeats=False, as_points=True
+        )
 
     def figures(self) -> dict[str, Any]:
         """By name, the unit in each name."""

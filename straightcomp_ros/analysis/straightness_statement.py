@@ -2,7 +2,7 @@
 
 The values are those of an instrument: the guide by the map (or a displacement sensor that was recorded), the platform
 by the encoder, never the truth of a simulation. A value is the mean over the strokes of one direction, of which those
-with stops on the way are whole strokes, and much shorter ones are left out.
+with stops on the way are whole strokes; much shorter ones, and those that a sensor measured in part, are left out.
 
 A peak-to-peak value is a difference of extremes, so that errors do not only spread it, they move it: errors in the
 measured curve make it larger, and what the measurement cannot see makes the true one larger than the measured. Both are
@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.metrics import LINES, about_lines
-from straightcomp_ros.analysis.record import Array, group_means, whole_ways
+from straightcomp_ros.analysis.record import Array, group_means, whole, whole_ways
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, rms, zone_along
 from straightcomp_ros.straightness.survey_runs import cubic_spline
@@ -97,7 +97,7 @@ class Contribution(NamedTuple):
 
 class Statement(NamedTuple):
     """The straightness ``when`` (before or after compensation) about ``line``, in m; ``measured`` is the mean over
-    ``strokes`` strokes, without ``left_out`` shorter ones."""
+    ``strokes`` strokes, without ``left_out`` partial ones."""
 
     when: str
     direction: Direction
@@ -172,7 +172,7 @@ def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             cells[f"u_{one['contribution']}_um"] = "?" if one["standard_uncertainty_um"] is None else known
         what = f"{statement['when']}, {statement['direction']}, {statement['line'].replace('_', ' ')}"
         # Statements of a stored certificate may be older.
-        what += f", without {statement['left_out']} shorter strokes" if statement.get("left_out") else ""
+        what += f", without {statement['left_out']} partial strokes" if statement.get("left_out") else ""
         figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
         shown = {f"{name}_um": "?" if figure is None else f"{figure:.3f}" for name, figure in figures.items()}
         rows.append({"straightness": what, **shown, **cells})
@@ -186,11 +186,11 @@ Samples = tuple[Array, Array, Array]
 def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[Statement]:
     """Of a run, before and after compensation, for each direction and line. ``sensor`` is the standard uncertainty in m
     of a recorded displacement sensor, which then takes the place of the map. None where nothing tells the guide: there
-    is no map, and the reference was centred."""
+    is no map, and the reference was centred, or the sensor has no readings."""
     record, readings, found = evaluation.record, evaluation.guide, list[Statement]()
-    by_sensor = sensor is not None and readings is not None and bool(np.isfinite(readings).any())
-    guide = readings if by_sensor and readings is not None else record.guide_by(evaluation.map or record.reference)
-    if not (by_sensor or evaluation.map or np.ptp(record.moving.r)):
+    by_sensor = sensor is not None
+    guide = readings if by_sensor else record.guide_by(evaluation.map or record.reference)
+    if guide is None or not (by_sensor or evaluation.map or np.ptp(record.moving.r)):
         return []
     count = evaluation.parameters.get("driver", {}).get("stage.encoder.y_resolution")
     encoder = Input("encoder", None if count is None else float(count) / math.sqrt(12.0))
@@ -202,21 +202,31 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
         for when, curve in (("before", guide), ("after", guide + record.y)):
             after = when == "after"
             source = Input("sensor", sensor, points) if by_sensor else map_input(evaluation.map, seen=not after)
-            known = [at[np.isfinite(curve[at])] for at in moving]
-            series = [(record.time[at], record.x[at], curve[at]) for at in known if at.size > 2 * _PIECES]
+            known = [(at[np.isfinite(curve[at])], np.ptp(record.x[at])) for at in moving]
+            series = [
+                (record.time[at], record.x[at], curve[at])
+                for at, way in known
+                # A sensor that began or ended within a stroke has measured a part of the guide.
+                if at.size > 2 * _PIECES and whole(np.ptp(record.x[at]), way)
+            ]
             if series:
                 # By the map, the guide is the same in all strokes.
                 inputs = [*([encoder] if after else []), source]
                 made = stated(when, direction, series, inputs, repeats=after or by_sensor)
-                found += [one._replace(left_out=len(shorter)) for one in made]
+                found += [one._replace(left_out=len(shorter) + len(moving) - len(series)) for one in made]
     return found
 
 
 def stated(
-    when: str, direction: Direction, strokes: Sequence[Samples], inputs: Sequence[Input], repeats: bool = True
+    when: str,
+    direction: Direction,
+    strokes: Sequence[Samples],
+    inputs: Sequence[Input],
+    repeats: bool = True,
+    as_points: bool = False,
 ) -> list[Statement]:
     """The statements about each line from the ``strokes`` of one direction; where they ``repeats`` a measurement, with
-    the standard deviation between them."""
+    the standard deviation between them. ``as_points``: of one curve over ascending x, whose points count the same."""
     of_strokes = [about_lines(x, curve, np.abs(np.gradient(x, time))) for time, x, curve in strokes]
     values = np.array([[*one.values()] for one in of_strokes])
     budgets = [[_repeatability(one)] if repeats else [] for one in values.T]
@@ -226,7 +236,7 @@ def stated(
         if one.uncertainty is not None and one.points is None:
             changes = _readings(one.uncertainty, strokes, random)
         elif one.uncertainty is not None:
-            curve = strokes[0][1:] if not repeats and strokes[0][1].size <= POINTS else _mean_curve(strokes)[:2]
+            curve = strokes[0][1:] if as_points and strokes[0][1].size <= POINTS else _mean_curve(strokes)[:2]
             changes = _changes(one, one.uncertainty, *curve, random)
         shares = changes.std(axis=0) / math.sqrt(len(strokes) if one.points is None else 1)
         corrections = (-1.0 if one.seen else 1.0) * changes.mean(axis=0)

@@ -112,6 +112,7 @@ def parsed_remap(assignments: list[str]) -> dict[str, str]:
 def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessment:
     from straightcomp_ros.analysis.assessment import assessed
     from straightcomp_ros.analysis.record import MetricsError
+    from straightcomp_ros.contract import DISPLACEMENT
 
     try:
         with working("evaluating"):
@@ -119,6 +120,11 @@ def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessm
     except MetricsError as error:
         raise CommandFailed(f"bag {bag}: {error}") from error
     print_warnings(found.warnings)
+    if sensor is not None and not found.straightness:
+        raise CommandFailed(
+            f"bag {bag}: --sensor-uncertainty: no stroke has readings on '{DISPLACEMENT.topic}' over nine tenths of "
+            "its way; without the option the straightness is that by the map"
+        )
     return found
 
 

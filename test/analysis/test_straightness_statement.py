@@ -9,10 +9,11 @@ from scipy.signal import lfilter
 from tiers import nightly
 
 from straightcomp_ros.analysis.metrics import LINES, about_lines
-from straightcomp_ros.analysis.record import Stroke, whole_ways
+from straightcomp_ros.analysis.record import Stroke, StrokeRecord, whole_ways
 from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, stated, statements
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.straightness.survey_runs import cubic_spline
+from straightcomp_ros.straightness.survey_table import WAYS
 
 X = np.linspace(0.0, 1.76, 4000)
 POINTS = np.linspace(0.0, 1.76, 60)
@@ -141,6 +142,40 @@ def test_a_stroke_in_parts_is_stated_as_a_whole_and_shorter_ones_are_left_out(ma
     (first, last), x = [Stroke(0, 3, "forward"), Stroke(3, 6, "forward")], np.array([0.0, 1.0, 2.0])
     assert whole_ways([first, last], np.append(x, x)) == ([[first], [last]], [])
     assert whole_ways([first, last], np.append(x, x + 2.0)) == ([[first, last]], [])
+
+
+@pytest.mark.parametrize("samples", [500, 2000])
+def test_a_quick_stroke_states_the_same_straightness_both_ways(assessed, cosine_map, samples):
+    # Over a slope of the guide, there and back, with ramps.
+    there = 0.5 + 0.04 * 0.5 * (1.0 - np.cos(np.pi * np.linspace(0.0, 1.0, samples)))
+    rest = np.full(300, 0.5)
+    x = np.concatenate([rest, there, rest + 0.04, there[::-1], rest])
+    r = cosine_map.evaluate(x)[0]
+    record = StrokeRecord(np.arange(x.size) * 1e-3, x, r, r, 0.0 * x, "law")
+    parameters = {"driver": {"stage.encoder.y_resolution": COUNT}}
+    found = statements(assessed(record, map=cosine_map, parameters=parameters).evaluation)
+    before = [[one for one in found if (one.when, one.direction) == ("before", way)] for way in WAYS]
+    assert len(before[0]) == len(LINES)
+    for forward, backward in zip(*before, strict=True):
+        assert backward.measured == pytest.approx(forward.measured, rel=1e-3)
+        assert backward.value == pytest.approx(forward.value, rel=1e-3)
+        assert backward.value == pytest.approx(backward.measured, rel=0.05)
+        assert backward.expanded_uncertainty == pytest.approx(forward.expanded_uncertainty, rel=0.2)
+
+
+def test_a_stroke_that_the_sensor_measured_in_part_is_left_out(make_record, assessed, cosine_map):
+    record = make_record()
+    guide, (forward, _) = cosine_map.deviations(record.x), record.motion.strokes
+    for part, stated_ways in ((0.05, {"forward": 0, "backward": 0}), (0.5, {"backward": 0})):
+        began = np.where(np.arange(guide.size) < forward.start + part * (forward.stop - forward.start), np.nan, guide)
+        found = statements(assessed(record, guide=began, map=cosine_map).evaluation, 0.01e-6)
+        assert {one.direction: one.left_out for one in found} == stated_ways
+    # Of two strokes each way the mean is that of the other one.
+    columns = {name: np.append(of, of) for name, of in record.columns().items()}
+    twice = replace(record, **columns | {"time": np.arange(2 * guide.size) * 5e-4})
+    found = statements(assessed(twice, guide=np.append(began, guide), map=cosine_map).evaluation, 0.01e-6)
+    assert {(one.direction, one.strokes, one.left_out) for one in found} == {("forward", 1, 1), ("backward", 2, 0)}
+    assert statements(assessed(record, guide=np.full(guide.size, np.nan), map=cosine_map).evaluation, 0.01e-6) == []
 
 
 def test_a_recorded_sensor_takes_the_place_of_the_map(make_record, assessed, cosine_map):

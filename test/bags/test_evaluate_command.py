@@ -75,6 +75,10 @@ def test_a_sensor_that_cannot_be_read_is_left_out_with_a_warning(survey, verb):
     bag, known = survey
     found = verb("evaluate", bag, "--json")
     assert found.code == 0 and found.json["lost_samples"] == 0 and ("'/displacement'" in found.err) is not known
+    # Where it is asked for, the map does not take its place.
+    found = verb("evaluate", bag, "--json", "--sensor-uncertainty", "0.01")
+    assert (found.code, bool(found.out)) == ((0, True) if known else (1, False))
+    assert ("readings on 'displacement'" in found.err) is not known
 
 
 def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, verb):

@@ -109,7 +109,7 @@ def separated(
         survey = Survey(tuple(Run(number, way, x, part.made(readings)) for number, way, readings in pairs), name)
         mean = repeatability(survey, x, np.array([run.deviation for run in survey.runs])).mean
         source = part.source if known else part.source._replace(uncertainty=None)
-        lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False)
+        lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False, as_points=True)
         return Form(survey, mean, part.s if known else None, lines)
 
     of_edge, of_guide = _shifted(x, each, shift, moved) if shift else _reversed(x, each)
