@@ -334,10 +334,13 @@ def _of_few_waves(along: Array, error: Array, near: float) -> Line:
 
 
 def _strongest(tried: Array, spectrum: Array, low: float, high: float) -> Line:
-    """The strongest line of a :func:`_spectrum` from ``low`` to ``high``."""
+    """The strongest line of a :func:`_spectrum` from ``low`` to ``high``; of no amplitude if it has none there."""
     first, last = np.searchsorted(tried, (low, high)).tolist()
-    best = first + int(spectrum[first : last + 1].argmax())
-    return Line(float(spectrum[best]), float(tried[best]))
+    inside = spectrum[first : last + 1]
+    if not inside.size:
+        return Line(0.0, low)
+    best = int(inside.argmax())
+    return Line(float(inside[best]), float(tried[first + best]))
 
 
 def _ascending(x: Array, values: Array) -> tuple[Array, Array]:

@@ -231,7 +231,7 @@ def strokes_and_jumps(time: Array, x: Array) -> tuple[tuple[Stroke, ...], NDArra
     regular = steps < 1.5 * period
     moves = np.where(regular, np.diff(x), 0.0)
     allowed = max(_LEAST_JUMP, _FASTEST_CHANGE * period**2)
-    change = np.abs(np.diff(moves)) > allowed
+    change = (np.abs(np.diff(moves)) > allowed) & regular[:-1] & regular[1:]
     # A jump changes the move twice: into it, and out of it.
     sudden = np.append(change, False) | np.append(False, change)
     jumps = np.flatnonzero(sudden & regular & (np.abs(moves) > allowed)) + 1
@@ -257,7 +257,8 @@ def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator
         piece = x[start:stop]
         if way[start] != 0.0 and abs(piece[-1] - piece[0]) >= SHORTEST_STROKE:
             away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
-            if away.size:
+            # A single sample has no speed, and no line.
+            if away.size > 1:
                 direction: Direction = "forward" if way[start] > 0.0 else "backward"
                 yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
 

@@ -6,6 +6,7 @@ platform oscillate, an oscillation saturates the current, and each of them makes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -411,7 +412,8 @@ def _more_friction(motion: JudgedMotion) -> str:
     """What the balance of forces says of friction beyond the description's range; empty if it is within, or unknown."""
     columns = motion.time, motion.y, motion.current
     balances = [force_balance(*(of[one.samples] for of in columns)).friction for one in motion.strokes]
-    found = motion.current_stiffness * float(np.median(balances)) if balances else 0.0
+    known = [one for one in balances if math.isfinite(one)]
+    found = motion.current_stiffness * float(np.median(known)) if known else 0.0
     if not found > motion.friction * motion.coulomb > 0.0:
         return ""
     return (

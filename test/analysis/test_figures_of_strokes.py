@@ -72,6 +72,15 @@ def test_a_shift_of_less_than_half_a_jog_is_no_stroke_and_a_longer_one_is():
         assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.0 + duration), abs=0.003)
 
 
+@pytest.mark.parametrize("within", [1, 2, 3])
+def test_a_jog_within_a_few_samples_is_evaluated_or_is_no_stroke(assessed, within):
+    # 0.1 mm at 500 Hz, after a stroke.
+    time = np.arange(1500) * 2e-3
+    x = 0.1 * np.clip(time - 0.2, 0.0, 1.0) + 1e-4 * np.clip((np.arange(1500) - 1000) / (within + 1), 0.0, 1.0)
+    record = StrokeRecord(time, x, 0.0 * x, 0.0 * x, 0.0 * x, "law")
+    assert len(assessed(record).strokes) == (2 if within > 1 else 1)
+
+
 @pytest.mark.parametrize("speed", [1e-4, 5e-4, 9e-4])
 def test_a_stage_that_creeps_makes_strokes(speed):
     way, time = 1e-3, np.arange(30_000) * 1e-3

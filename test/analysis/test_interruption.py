@@ -7,7 +7,7 @@ from rewritten_bag import rewritten
 from tiers import nightly
 
 from straightcomp_ros.analysis.interruption import stalls_of
-from straightcomp_ros.analysis.record import motion_of
+from straightcomp_ros.analysis.record import motion_of, strokes_and_jumps
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.fleet.history.adding import evaluate_bag
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
@@ -194,6 +194,12 @@ def test_strokes_on_both_sides_of_a_jump_of_x_are_found_and_a_jump_is_no_stroke(
     time = np.arange(4000) * 5e-4
     x = np.where(time < 1.0, time * 0.05, 0.3 + time * 0.05)
     assert [one.direction for one in motion_of(time, x).strokes] == ["forward", "forward"]
+    # At 1.5 m/s each kHz, with a sample lost: the way from one to the next is more than a jump would be.
+    lost = np.delete(np.arange(400), 200)
+    (one,) = motion_of(lost * 1e-3, lost * 1.5e-3).strokes
+    assert (one.start, one.stop) == (1, lost.size - 1)
+    jumped = np.where(lost < 202, 0.0, 0.1) + lost * 1.5e-3
+    assert strokes_and_jumps(lost * 1e-3, jumped)[1][0] == 201
     with pytest.raises(ValueError, match="x jumps by 100 mm"):
         motion_of(time, np.where(time < 1.0, 0.0, 0.1))
 

@@ -87,6 +87,8 @@ GENTLE, JOG = 5e-9 * np.sin(TIME), {"fit": None, "map_pp": 20e-6}
 SHORT_STEPS = np.where((TIME > 3.0) & (TIME < 5.0), 0.1 * STEPS, SMALL)
 LIMITED, DESTABILISED = {"current_limit": 0.9}, {"modes": (80.0,), "destabilised": lambda: True}
 DRY = {"y": R, "current": 0.05 * np.sign(np.gradient(R)), "current_stiffness": 40.0}
+STROKE_AND_JOG = 0.2 * np.clip(TIME, 0.0, 6.0) - 0.2 * np.clip(TIME - 7.0, 0.0, 0.2)
+QUICK_JOG = 1e-4 * np.clip((TIME - 2.0) / 4e-3, 0.0, 1.0)
 # What the case shows: (verdict, what its reason says, run), ... Without bounds everything is allowed.
 CASES = {
     "a small error is in order": [("in_order", "0.1 µm p-p.*20 µm", motion())],
@@ -252,6 +254,8 @@ CASES = {
             # Fewer than four waves in a stroke, from which what is around them cannot be told.
             for f in (0.9, 0.95)
         ),
+        # A jog within some samples, in which no line has four waves.
+        ("inaccurate", "changes slowly", motion(SLOW, x=QUICK_JOG, promise=promised(0.1))),
         ("inaccurate", "encoder of y hardly shows it", motion(SLOW, promise=promised(0.1), unseen=True)),
         ("inaccurate", "direction in which the platform moves", motion(DRAGGED, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
@@ -277,6 +281,8 @@ CASES = {
         ("inaccurate", r"not as described: 2 N, allowed: 2 times 0\.4 N", motion(0.55 * R, **DRY, coulomb=0.4)),
         ("inaccurate", "^(?!.*allowed: 2 times)", motion(0.55 * R, **DRY, coulomb=1.1)),
         ("inaccurate", "^(?!.*allowed: 2 times)", motion(0.55 * R, **DRY)),
+        # Of a stroke that is too short nothing is known: it hides nothing of the others.
+        ("inaccurate", "not as described: 2 N", motion(0.55 * R, **DRY, coulomb=0.4, x=STROKE_AND_JOG)),
     ],
     "an error of half the uncompensated deviation is inaccurate": [
         ("in_order", "", motion(0.45 * R)),
