@@ -22,7 +22,7 @@ from straightcomp_ros.analysis.judged_motion import Left, destabilised
 from straightcomp_ros.analysis.record import MOVING, SPEED_SPAN, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
-from straightcomp_ros.offline.scenario import Scenario
+from straightcomp_ros.offline.scenario import MOST_SAMPLES, Scenario
 from straightcomp_ros.offline.starts import COUNTS_APART, STARTS, offset
 from straightcomp_ros.parameters.declaration import ParameterError, under
 from straightcomp_ros.parameters.node_parameters import (
@@ -41,6 +41,8 @@ from straightcomp_ros.straightness.survey_table import Direction, SurveyError
 
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
+_LONGEST_REST = 1.0
+"""Time in s at rest from which more of it only makes the RMS smaller."""
 _STROKES = 32
 """Drawn at most: few runs ask for them. Four left at most 0.23 µm, or 0.55 with the map rounded otherwise, where a
 sound run of a stage of 1 kg left 0.69."""
@@ -95,25 +97,32 @@ def promise_of(
 
 
 def _motion(record: StrokeRecord, described: Any) -> Any:
-    """The described motion, with the place, the length and the speed of the record's strokes where they differ."""
+    """The described motion, with the place, the length and the speed of the record's strokes where they differ, no
+    longer rests than say something of the error, and no more steps than were made."""
     x = record.x[record.motion.window]
     half = max(1, round(0.5 * SPEED_SPAN / float(np.median(np.diff(record.time)))))
     moving = record.motion.samples()
     before, after = np.maximum(moving - half, 0), np.minimum(moving + half, record.time.size - 1)
     speeds = np.abs(record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
     start, stroke, speed = float(x.min()), float(np.ptp(x)), max(float(np.quantile(speeds, 0.999)), MOVING)
-    if described.file:
-        # The list of positions is not in a bag. Its movements are there, and equal ones are much the same.
-        ways = [float(np.ptp(record.x[one.samples])) for one in record.motion.strokes]
-        described = dataclasses.replace(described, file="", steps=max(1, round(stroke / float(np.median(ways)))))
+    # The list of positions is not in a bag. Its movements are there, and equal ones are much the same.
+    ways = [float(np.ptp(record.x[one.samples])) for one in record.motion.strokes]
+    made = min(len(ways), max(1, round(stroke / float(np.median(ways)))))
+    steps = made if described.file else min(made, described.steps)
+    settle, pause = min(described.settle, _LONGEST_REST), min(described.pause, _LONGEST_REST)
+    described = dataclasses.replace(described, file="", steps=steps, settle=settle, pause=pause)
     reached = min(described.speed, math.sqrt(described.acceleration * stroke))
     same_place = abs(start - described.start) < _SAME * stroke and abs(stroke / described.stroke - 1.0) < _SAME
     if same_place and abs(speed / reached - 1.0) < _SAME:
         return described
+    # What reaches this speed on the longest way: a trajectory may ask for more than is described.
+    acceleration = max(described.acceleration, speed**2 / max(ways))
     # Two digits: strokes of one kind are then one motion.
     speed = float(f"{speed:.2g}")
     highest = max(described.highest_speed, 2.0 * speed)
-    return dataclasses.replace(described, start=start, stroke=stroke, speed=speed, highest_speed=highest)
+    return dataclasses.replace(
+        described, start=start, stroke=stroke, speed=speed, highest_speed=highest, acceleration=acceleration
+    )
 
 
 @lru_cache(maxsize=16)
@@ -140,6 +149,8 @@ def _strokes(
         trajectory=Trajectory(forward_and_back(motion)),
         survey=Survey(tuple(Run("", way, np.frombuffer(x), np.frombuffer(deviation)) for way, x, deviation in runs)),
     )
+    if scenario.samples > MOST_SAMPLES:
+        raise MetricsError(f"record: its motion has {scenario.samples} samples; allowed offline: <= {MOST_SAMPLES}")
     stroke = scenario.stroke()
     window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
     followed, count = along(stroke.map, stroke.true_x)[0], stage.encoder.y_resolution

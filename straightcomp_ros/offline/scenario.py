@@ -145,7 +145,7 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
     return Compiled(loop, cached=ours)
 
 
-_MOST_SAMPLES = 20_000_000
+MOST_SAMPLES = 20_000_000
 """Of a cycle: they are in memory at once, some 3 GB."""
 
 
@@ -321,10 +321,10 @@ def make_scenario(values: Values, laws: Sequence[str]) -> Scenario:
             f"allowed in a sweep: >= {oldest:.4g} s, a period and twice the jitter"
         )
     trajectory = nodes.trajectory
-    if trajectory.end_ns > _MOST_SAMPLES * stage.period_ns:
+    if trajectory.end_ns > MOST_SAMPLES * stage.period_ns:
         raise ParameterError(
             f"parameters 'stage.motion.*': a cycle of {trajectory.end_ns * 1e-9:.3g} s has "
-            f"{trajectory.end_ns / stage.period_ns:.3g} samples; allowed offline: <= {_MOST_SAMPLES}"
+            f"{trajectory.end_ns / stage.period_ns:.3g} samples; allowed offline: <= {MOST_SAMPLES}"
         )
     return Scenario(
         driver=driver,

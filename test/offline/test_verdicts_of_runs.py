@@ -17,6 +17,7 @@ from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.judged_motion import Left
 from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
 from straightcomp_ros.bags.reader import read_attachments
@@ -25,6 +26,8 @@ from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed
 from straightcomp_ros.cli import demo
 from straightcomp_ros.control.laws import LAWS
+from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.offline import promise
 from straightcomp_ros.offline.promise import promise_of
 from straightcomp_ros.offline.starts import first_cycle
 from straightcomp_ros.parameters.node_parameters import by_node
@@ -199,6 +202,34 @@ def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_
     (tmp_path / "positions.txt").unlink()
     promises = [promise_of(record, by_node(values), straightness).smooth.pp for values in (by_list, in_steps)]
     assert promises[0] == pytest.approx(promises[1], rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("made", "described", "found"),
+    [
+        # Described rests and steps that were not made take neither time nor memory.
+        ({}, {"settle": 86400.0, "pause": 86400.0, "steps": 1000}, {"settle": 1.0, "pause": 1.0, "steps": 1}),
+        ({"steps": 3}, {"steps": 3}, {"steps": 3}),
+        ({"start": 0.1, "stroke": 0.03, "steps": 3}, {"stroke": 1.0, "steps": 100}, {"stroke": 0.03, "steps": 3}),
+        # A list of near positions far from the start.
+        ({"file": "0.25\n0.2505\n0.251\n0.2515\n"}, {"file": "unknown"}, {"stroke": 0.2515, "steps": 5}),
+        # A trajectory that accelerates more than is described.
+        ({"stroke": 0.2, "speed": 0.5, "acceleration": 2.0}, {}, {"stroke": 0.2, "speed": 0.5}),
+    ],
+)
+def test_the_promised_motion_is_that_which_was_made(tmp_path, made, described, found):
+    if "file" in made:
+        (tmp_path / "positions.txt").write_text(made["file"])
+        made = made | {"file": str(tmp_path / "positions.txt")}
+    trajectory = Trajectory(forward_and_back(MotionParameters(**{"stroke": 0.3, **made})))
+    stamps = np.arange(0, trajectory.end_ns, 500_000)
+    x = trajectory.at(stamps)
+    record = StrokeRecord(stamps * 1e-9, x, 0.0 * x, 0.0 * x, 0.0 * x, "law")
+    motion = promise._motion(record, MotionParameters(**{"stroke": 0.3, **described}))
+    for name, value in found.items():
+        assert getattr(motion, name) == pytest.approx(value, rel=1e-3), name
+    fastest = np.abs(Trajectory(forward_and_back(motion)).velocities).max()
+    assert fastest == pytest.approx(np.abs(trajectory.velocities).max(), rel=0.03)
 
 
 @pytest.mark.parametrize(
