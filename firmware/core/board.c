@@ -13,7 +13,8 @@ static bool scale_allowed(struct scale scale)
 static bool config_allowed(const struct board_config *config)
 {
     const struct output_config *output = &config->output;
-    const bool bus = (config->wire != NULL) && (config->node >= 1u) && (config->node <= 127u);
+    const bool bus = (config->wire != NULL) && (config->wire->frame_count <= WIRE_FRAMES) && (config->node >= 1u) &&
+                     (config->node <= 127u);
     const bool times = (config->period_ns > 0) && (config->delay_ns >= 0) && (output->command_timeout_ns > 0) &&
                        (output->hold_after_ns > 0);
     const bool currents = (config->current_limit > (board_real)0) && (output->half_codes > 0) &&

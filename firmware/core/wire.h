@@ -19,7 +19,7 @@
 /* Bytes of the longest frame. */
 #define WIRE_LONGEST (64u)
 /* Messages of a board, at most: one for each signal that means something. */
-#define WIRE_FRAMES (7u)
+#define WIRE_FRAMES (8u)
 
 /* Why the amplifier is off. */
 enum board_fault {

@@ -21,7 +21,8 @@ from tiers import nightly
 from scripts import make_firmware_frames
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
-from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
+from straightcomp_ros.hardware.can.board_dbc import OF_BOARD
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Command
@@ -31,6 +32,7 @@ from straightcomp_ros.hardware.interface import HardwareError, State
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.model.converters import DriveParameters, EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back
+from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from trials.can import FirmwareBoard
 
@@ -170,6 +172,31 @@ def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(pair, firmware_of,
     file = tmp_path / f"drawn_{seed}.dbc"
     file.write_text(text)
     can = CanParameters(dbc=str(file), wire=meaning, simulated_stage=True)
+    run = bad_loop(pair(can, firmware_of(can, "board_sanitized")), samples=1500)
+    assert [amplifier for amplifier, _ in run.states[0]].count(State.ON) > 300
+    run.judge_equal()
+
+
+def test_a_board_with_a_message_for_each_signal_is_the_emulator_to_the_bit(pair, firmware_of, tmp_path):
+    bits = {"x": "32@1-", "y": "32@1-", "current": "16@1-", "counter": "16@1+"} | {
+        role: "8@1+" for role in ("good", "amplifier", "fault", "referenced")
+    }
+    scales = {"x": 1e-7, "y": 1e-7, "current": 1e-4}
+    lines, values = ["BS_:", "BU_: X"], {"protection.sample.alive": "count"}
+    for number, role in enumerate(bits, 0x101):
+        lines += [f"BO_ {number} of_{role}: 8 X", f' SG_ {role} : 0|{bits[role]} ({scales.get(role, 1)},0) [0|0] "" X']
+        lines += [' SG_ count : 32|8@1+ (1,0) [0|0] "" X'] * (role == "x")
+        values |= {f"{role}.message": f"of_{role}", f"{role}.signal": role}
+    lines += [
+        "BO_ 512 order: 8 X",
+        ' SG_ current : 0|16@1- (1E-4,0) [0|0] "" X',
+        ' SG_ enable : 16|8@1+ (1,0) [0|0] "" X',
+    ]
+    values |= {"command.message": "order", "command.signal": "current", "enable.signal": "enable"}
+    file = tmp_path / "a_message_for_each.dbc"
+    file.write_text("\n".join(['VERSION "1"', "NS_ :", *lines, ""]))
+    can = CanParameters(dbc=str(file), wire=from_mapping(WireParameters, values), fd=False, simulated_stage=True)
+    assert len(can.make_wire().reports) == len(OF_BOARD)
     run = bad_loop(pair(can, firmware_of(can, "board_sanitized")), samples=1500)
     assert [amplifier for amplifier, _ in run.states[0]].count(State.ON) > 300
     run.judge_equal()
