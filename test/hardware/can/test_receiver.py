@@ -16,6 +16,7 @@ from straightcomp_ros.hardware.can.hub import ERROR, Frame
 from straightcomp_ros.hardware.can.receiver import Receiver
 from straightcomp_ros.hardware.can.sample_numbers import BLOCK
 from straightcomp_ros.hardware.interface import State, Truth
+from straightcomp_ros.model.converters import EncoderParameters
 from straightcomp_ros.model.motion import MotionParameters
 from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.safety.watch import ZeroWatch
@@ -46,9 +47,9 @@ SLOW_STAGE = StageParameters(motion=MotionParameters(speed=0.1, highest_speed=0.
 class Board:
     """A receiver, and samples for it that stand still and come in time if nothing else is said."""
 
-    def __init__(self, parameters=None, **changes):
+    def __init__(self, parameters=None, stage=SLOW_STAGE, **changes):
         parameters = parameters or CanParameters(**{"fd": True, "sample_memory": 10_000, "y_speed": 0.02, **changes})
-        self.receiver = Receiver(parameters, SLOW_STAGE)
+        self.receiver = Receiver(parameters, stage)
         self.frames = self.receiver.wire.reports.values()
         self.number, self.start_ns = 0, START
 
@@ -149,6 +150,16 @@ def test_a_step_is_as_wide_as_the_speed_allows_and_two_counts(board, name, step,
     assert index == BLOCK + lost and getattr(sample, name) == pytest.approx(sign * largest * COUNT)
     assert board.sample(lost=lost, **{name: sign * (2 * largest + 1)}) is None
     assert board.refused() == {"implausible": 1}
+
+
+@pytest.mark.parametrize(("axis", "most"), [("x", 500 + 10), ("y", 500 + 100)])
+def test_a_reading_may_move_by_two_counts_of_an_encoder_that_is_coarser_than_its_frame(axis, most):
+    # 25 µm, and 1 µm a sample.
+    encoder = EncoderParameters(x_resolution=250 * COUNT, y_resolution=250 * COUNT)
+    board = Board(stage=StageParameters(encoder=encoder, motion=MotionParameters(speed=1e-3, highest_speed=2e-3)))
+    board.settled()
+    assert board.sample(**{axis: most}) and board.sample() and board.sample(**{axis: -most})
+    assert board.sample(**{axis: most}) is None and board.refused() == {"implausible": 1}
 
 
 def test_a_sample_is_in_metres_and_ampere_at_the_time_of_its_number(board):
