@@ -13,6 +13,9 @@ from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.safety.faults import Finding
 
+SILENT_SAMPLES = 3
+"""Samples at least, or commands, whose absence is a silence: a single one that is lost is none, at any rate."""
+
 
 class Sample(NamedTuple):
     """One simultaneous reading of both encoders, in m, identified by its time.

@@ -22,7 +22,7 @@ from straightcomp_ros.contract import (
     TRUTH,
 )
 from straightcomp_ros.hardware.can.backend import CanHardware
-from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
+from straightcomp_ros.hardware.interface import SILENT_SAMPLES, Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.model.paced_motion import Pace, StageState
@@ -84,6 +84,7 @@ class DriverComponent:
         self._safety, self._unreferenced = SafetyMachine(self._hardware), self._hardware.unreferenced
         limit = parameters.stage.actuator.current_limit
         self._commands = CommandIntake(self._hardware, self._command_timeout_ns, period_ns, limit, self._trip)
+        self._fresh_ns = max(self._command_timeout_ns, SILENT_SAMPLES * period_ns)
         self._sample_watch = SampleWatch(parameters.watch, parameters.stage)
         self._zero_watch = ZeroWatch(parameters.stage)
         self._panel = SafetyPanel(
@@ -331,7 +332,7 @@ class DriverComponent:
         if not self._node.active:
             return "the driver is not active"
         newest_ns = self._newest.stamp_ns if self._newest else 0
-        if now_ns() - newest_ns > self._command_timeout_ns and not self._lockstep:
+        if now_ns() - newest_ns > self._fresh_ns and not self._lockstep:
             # No command for it could be fresh, and what the machine says of its reference is old.
             return "; ".join(filter(None, ("no samples come from the machine", self._hardware.link_problem)))
         if unreferenced := self._hardware.unreferenced or self._zero_watch.finding:
@@ -341,7 +342,7 @@ class DriverComponent:
         if self._others_command():
             return f"{_ANOTHER_PUBLISHES}; end it; one that was killed is forgotten after {_FORGOTTEN_S} s"
         age_ns = now_ns() - self._commands.stamp_ns
-        if age_ns > self._command_timeout_ns:
+        if age_ns > self._fresh_ns:
             return "no fresh command from the controller; is it running, and is its map loaded?"
         return ""
 

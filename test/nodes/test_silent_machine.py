@@ -7,6 +7,7 @@ import pytest
 from participant import spun
 
 from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.nodes import driver_node
 from straightcomp_ros.nodes.driver_node import DriverComponent
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
@@ -16,10 +17,11 @@ from straightcomp_ros.safety.faults import Fault
 
 
 @pytest.fixture
-def driver(participant, tmp_path):
+def driver(participant, tmp_path, request):
     """The component of an active driver, whose cycles the test plays, with a board on a hub that does not run."""
     given = {"hardware": "can", "can.interface": "straightcomp_hub", "can.channel": str(tmp_path / "bus")}
-    parameters = from_mapping(DriverNodeParameters, {**given, "can.command_timeout": 1.0})
+    further = getattr(request, "param", {"can.command_timeout": 1.0})
+    parameters = from_mapping(DriverNodeParameters, {**given, **further})
     node = ManagedNode("driver", DriverNodeParameters, DriverComponent)
     component = DriverComponent(node, parameters)
     node.active = True
@@ -48,6 +50,19 @@ def test_a_driver_without_samples_names_the_machine_and_its_link_and_with_sample
     driver._newest = Sample(now_ns() - 1_100_000_000, 0.0, 0.0, math.nan)
     driver._hardware._link.problem = ""
     assert refusal() == "no samples come from the machine"
+
+
+@pytest.mark.parametrize("driver", [{"stage.rate": 100}], indirect=True)
+def test_a_sample_and_its_command_are_fresh_for_three_periods_however_slow_the_stage(driver, monkeypatch):
+    now = now_ns()
+    monkeypatch.setattr(driver_node, "now_ns", lambda: now)
+    monkeypatch.setattr(driver, "_others_command", lambda: False)
+    driver._hardware._receiver.referenced = True
+    for sample_ms, command_ms, refusal in ((29, 29, ""), (29, 31, "no fresh command"), (31, 29, "no samples")):
+        driver._newest = Sample(now - sample_ms * 1_000_000, 0.0, 0.0, math.nan)
+        driver._commands.stamp_ns = now - command_ms * 1_000_000
+        found = driver._enable_refusal()
+        assert found.startswith(refusal) and bool(found) == bool(refusal)
 
 
 def test_a_driver_that_does_not_reach_its_machine_says_why_once(driver, monkeypatch):

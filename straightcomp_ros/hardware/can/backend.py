@@ -10,7 +10,7 @@ from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Command
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.can.receiver import Receiver
-from straightcomp_ros.hardware.interface import Hardware, HardwareError, Sample, State, Truth
+from straightcomp_ros.hardware.interface import SILENT_SAMPLES, Hardware, HardwareError, Sample, State, Truth
 from straightcomp_ros.model.motion import Trajectory
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.safety.faults import Fault, Finding
@@ -25,10 +25,9 @@ _UNREADY: dict[State | None, str] = {
     State.FAULT: "the board has not cleared its fault yet",
 }
 """Why the amplifier must not be switched on while the board reports this."""
-_TIMEOUTS, _PERIODS = 4, 3
+_TIMEOUTS = 4
 """Times `command_timeout` without a command that are a fault: a board reports its own timeout before, which says more;
-and with the default of 5 ms this is within the 30 ms that docs/safety.md promises. Samples at least: a single command
-that is lost is none, at any rate."""
+and with the default of 5 ms this is within the 30 ms that docs/safety.md promises."""
 _TURNS = 3
 """Reads of the bus without a sample after which monitoring must run."""
 
@@ -62,7 +61,9 @@ class CanHardware(Hardware):
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = self._command_ns = 0
-        self._silence_ns = max(_TIMEOUTS * parameters.command_timeout * 1e9, _PERIODS * stage.period_ns)
+        least_ns = SILENT_SAMPLES * stage.period_ns
+        self._silence_ns = max(_TIMEOUTS * parameters.command_timeout * 1e9, least_ns)
+        self._sample_silence_s = max(parameters.sample_timeout, least_ns * 1e-9)
         self._within = f"within {parameters.answer_timeout * 1e3:g} ms"
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
@@ -286,7 +287,7 @@ class CanHardware(Hardware):
 
     def _silence(self, now_ns: int) -> Finding | None:
         """The fault if heartbeat, samples or state have stopped; the state may come in frames of its own."""
-        receiver, samples_s = self._receiver, self._parameters.sample_timeout
+        receiver, samples_s = self._receiver, self._sample_silence_s
         heartbeat_s = self._parameters.heartbeat_timeout
         for newest_ns, timeout_s, kind, what in (
             (receiver.heartbeat_ns, heartbeat_s if self._wire.heartbeat else math.inf, Fault.HEARTBEAT_LOST, _BEAT),

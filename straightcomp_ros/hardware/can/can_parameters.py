@@ -166,7 +166,9 @@ class CanParameters:
         "(0, 1] s",
     )
     sample_timeout: float = parameter(
-        0.005, "Time without a sample that latches a fault while the amplifier is on", "(0, 1] s"
+        0.005,
+        "Time without a sample, three samples at least, that latches a fault while the amplifier is on",
+        "(0, 1] s",
     )
     heartbeat_timeout: float = parameter(
         0.15,

@@ -260,6 +260,19 @@ def test_a_single_command_that_is_lost_is_no_silence_however_short_the_timeout()
     assert world.host.fault is None and world.board.amplifier is State.ON
 
 
+def test_a_single_sample_that_is_lost_is_no_silence_however_short_the_timeout_and_four_are():
+    world = World(replace(CLASSIC, sample_timeout=1e-4)).on()
+    for _ in range(10):
+        world.to_host = False
+        world.run(0.0005)
+        world.to_host = True
+        world.run(0.002)
+    assert world.host.fault is None and world.board.amplifier is State.ON
+    world.to_host = False
+    world.run(0.002)
+    assert world.host.fault[0] is Fault.SAMPLE_TIMEOUT
+
+
 @pytest.mark.parametrize("can", [FOREIGN, SPLIT], ids=["foreign", "split"])
 def test_a_board_with_its_own_frames_is_switched_on_and_off_and_says_its_faults_in_its_own_words(made, can):
     world = made(can).on()
