@@ -132,8 +132,10 @@ class CanHardware(Hardware):
             begun = PacedMotion(self._stage, trajectory.position(0))
             begun.ask(self.motion.pace)
             begun.number = self.motion.number
+        # An emulator that has started meanwhile does not know the pace.
+        pace = frames.pace_payload(begun.pace)
         begun.begin(trajectory, start_ns)
-        self._send_to_stage(frames.stage_payloads(trajectory.waypoints))
+        self._send_to_stage([pace, *frames.stage_payloads(trajectory.waypoints)])
         self.motion = begun
 
     def home(self, now_ns: int) -> None:
@@ -142,8 +144,11 @@ class CanHardware(Hardware):
         self._send_to_stage(self._frames_for_stage().stage_payloads(()))
 
     def pace(self, pace: Pace) -> None:
-        self._send_to_stage([self._frames_for_stage().pace_payload(pace)])
+        frame = self._frames_for_stage().pace_payload(pace)
         self.motion.position(self._clock())
+        if not (self.motion.over and self._link.problem):
+            self._send_to_stage([frame])
+        # A stage at rest gets it with its next motion too.
         self.motion.ask(pace)
 
     def _frames_for_stage(self) -> EmulatorFrames:

@@ -513,6 +513,32 @@ def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason():
             host.move(trajectory, world.now)
 
 
+def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_motion():
+    real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: START, World(FD)._link)
+    with pytest.raises(HardwareError, match=r"'can\.simulated_stage'"):
+        real.pace(Pace(0.5))
+    world = World(FD)
+    send, world.host._link.send = world.host._link.send, lambda *frame, **how: False
+    world.host._link.problem = "CAN can0 is not open yet"
+    world.host.pace(Pace(0.5))
+    world.host._link.send, world.host._link.problem = send, ""
+    for begin, distance in ((0.0, 0.02), (0.02, -0.02)):
+        world.run(0.2)
+        world.host.move(Trajectory(jog(STAGE.motion, begin, distance)), world.now)
+        world.run(0.1)
+        board = world.board.machine.motion
+        assert board.pace == world.host.motion.pace == Pace(0.5) and not board.over
+        # A running motion cannot be slowed down or held by what is not sent.
+        world.host._link.send, world.host._link.problem = (lambda *frame, **how: False), "CAN can0: gone"
+        with pytest.raises(HardwareError, match="gone"):
+            world.host.pace(Pace(hold=True))
+        world.host._link.send, world.host._link.problem = send, ""
+        world.run(2.0)
+        assert board.position(world.now) == world.host.motion.position(world.now) == begin + distance
+        # The emulator is started again meanwhile, where the stage stands.
+        board.ask(Pace())
+
+
 def test_counters_show_bus_log_and_lost_samples_wherever_they_went(running):
     host = running.host
     counters = host.counters()
