@@ -1,5 +1,6 @@
 """Recorded buses: candump's ``.log`` or Vector's ``.blf``, written in a thread, read and played by python-can."""
 
+import contextlib
 import copy
 import gzip
 import itertools
@@ -116,7 +117,9 @@ class FrameLog:
         if self._thread.is_alive():
             self._thread.join()
         else:
-            self._writer.stop()
+            # What kept the thread from writing may keep the file from being finished.
+            with contextlib.suppress(OSError, ValueError):
+                self._writer.stop()
 
     def _run(self) -> None:
         saved_s = time.monotonic()

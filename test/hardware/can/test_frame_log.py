@@ -97,6 +97,21 @@ def test_an_earlier_log_is_kept_and_frames_beyond_the_queue_are_counted(tmp_path
         log.close()
 
 
+@pytest.mark.parametrize("ending", [".log", ".blf"])
+def test_a_log_that_a_full_disk_ended_is_closed_without_an_error(tmp_path, ending):
+    log = FrameLog(tmp_path / f"bus{ending}", "can0")
+    if log._writer.file:
+        log._writer.file.close()
+    log._writer.file = Path("/dev/full").open("w" if ending == ".log" else "wb")  # noqa: SIM115
+    log.start()
+    for number in range(2000):
+        log.put(message(number))
+    assert comes_true(lambda: "No space left" in log.problem), log.problem
+    log.put(message(0))
+    assert log.dropped
+    log.close()
+
+
 def test_a_log_that_cannot_be_made_or_has_no_known_ending_is_refused(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(HardwareError, match=r"frame log '.*file/bus.log'"):
