@@ -227,16 +227,18 @@ def free_port() -> int:
 def on_hub(values: Values, socket: str) -> dict[str, Any]:
     """Driver parameters that replace its simulated machine by an emulated board on a hub at ``socket``."""
     driver = node_parameters("driver", values)
-    timeout, heartbeat = driver.simulated.command_timeout, driver.can.make_wire().heartbeat
+    timeout, wire = driver.simulated.command_timeout, driver.can.make_wire()
+    state, beat = wire.state_interval(1.0 / driver.stage.rate), wire.heartbeat.period if wire.heartbeat else 0.0
     return {
         "hardware": "can",
         "can.interface": INTERFACE,
         "can.channel": socket,
         "can.simulated_stage": True,
-        # The driver's timeouts must be as long as the board's, which tolerates a stalled desktop.
+        # As long as the board's own, which tolerates a stalled desktop, and as its frames need.
         "can.command_timeout": timeout,
         "can.sample_timeout": timeout,
-        "can.heartbeat_timeout": max(timeout, 3.0 * heartbeat.period if heartbeat else 0.0),
+        "can.heartbeat_timeout": max(timeout, 3.0 * beat, 3.0 * state),
+        "can.answer_timeout": max(driver.can.answer_timeout, 3.0 * state),
     }
 
 

@@ -425,7 +425,12 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
     yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(names)}")
     ends = reach(motion)
     stop, limit = stage.platform.stop, stage.actuator.current_limit
-    yield _range("wire x", wire.sample, "x", ends, encoder.x_resolution, "m")
+    travel, turn = ends[1] - ends[0] + 2.0 * stage.guide.runout, wire.sample.x_modulus
+    if 0.0 < turn <= travel and "referenced" not in wire.homes:
+        detail = f"x repeats itself every {turn:.6g} m of a travel of {travel:.6g} m, and no signal says 'referenced'"
+        yield Finding("wire x", "fail", detail, "Name a signal in can.wire.referenced, or use a counter of more bits.")
+    else:
+        yield _range("wire x", wire.sample, "x", ends, encoder.x_resolution, "m")
     yield _range("wire y", wire.homes["y"], "y", (-stop, stop), encoder.y_resolution, "m")
     yield _range("wire command", wire.command, "current", (-limit, limit), step, "A")
     if wire.current is not None:
@@ -435,6 +440,14 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
         yield Finding("wire protection", "warn", gap, "Ask the maker of the board, or accept what follows.")
     if not missing:
         yield Finding("wire protection", "ok", "CRC, counters, echo and heartbeat are there")
+    state, beat = wire.state_interval(1.0 / stage.rate), wire.heartbeat.period if wire.heartbeat else 0.0
+    in_time = max(state, beat) < can.heartbeat_timeout and state < can.answer_timeout
+    detail = f"the state of the amplifier comes every {state * 1e3:g} ms"
+    detail += f", the heartbeat every {beat * 1e3:g} ms" if beat else ""
+    remedy = (
+        "Let the board send them more often, or raise can.heartbeat_timeout and, for the state, can.answer_timeout."
+    )
+    yield judged("wire state", in_time, detail, remedy, "fail")
     busy = sum(bus_load(wire, stage.rate, can.bitrate, can.data_bitrate if can.fd else 0.0).values())
     detail = f"at {stage.rate} Hz the bus of {can.bitrate / 1e6:g} Mbit/s is busy by {busy:.0%}"
     remedy = "Shorten the frames, raise can.bitrate or can.data_bitrate, or lower stage.rate."
@@ -457,7 +470,8 @@ def _range(name: str, frames: Frames, field: str, ends: tuple[float, float], res
         f"'{signal}' from {least:.6g} to {largest:.6g} {unit} in steps of {step:.3g} {unit}; the stage needs "
         f"{ends[0]:.6g} to {ends[1]:.6g} {unit} in steps of {resolution:.3g} {unit}"
     )
-    if least > ends[0] or largest < ends[1]:
+    wraps = frames.wraps and field == "x"
+    if not wraps and (least > ends[0] or largest < ends[1]):
         remedy = f"Use a wider signal or another scale for '{signal}', or check the stage and the unit in the DBC file."
         return Finding(name, "fail", detail, remedy)
     remedy = f"The scale of '{signal}' is too coarse: use a finer one, or more bits."

@@ -4,6 +4,7 @@ import pytest
 
 from scripts.stage_files import STAGES
 from straightcomp_ros.doctor.stage_findings import stage_findings
+from straightcomp_ros.hardware.can.can_parameters import shipped_wire
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file, shipped_parameters
@@ -84,6 +85,15 @@ CERTAIN = {"uncertainty__friction": 1.3}
         ("wire bus", "fail", stage(rate=4500), "busy by 1"),
         ("wire bus", "warn", stage(rate=3600), "busy by 8"),
         ("wire y", "warn", {**OWN_BUS, **stage(encoder__y_resolution=1e-9)}, "in steps of 1e-07 m"),
+        ("wire state", "ok", {"driver": {"can.answer_timeout": 0.011}}, "comes every 10 ms"),
+        ("wire state", "fail", {"driver": {"can.answer_timeout": 0.009}}, "can.answer_timeout"),
+        ("wire state", "fail", {"driver": {"can.heartbeat_timeout": 0.009}}, "can.heartbeat_timeout"),
+        (
+            "wire state",
+            "fail",
+            {"driver": {**OWN_BUS["driver"], "can.heartbeat_timeout": 0.04}},
+            "heartbeat every 50 ms",
+        ),
         ("stiction", "ok", sticky(1.7), "the bristles bend by 645 nm"),
         ("stiction", "ok", sticky(1.7, **FREE), "no dry friction"),
         ("stiction", "ok", sticky(1.7, friction__static=0.5, **STIFF, **CERTAIN), "23.1 mA keeps it sliding"),
@@ -131,6 +141,27 @@ def test_what_x_is_counted_from_is_agreed_only_where_both_say_it(check, tmp_path
 def test_protection_that_is_missing_is_found(check):
     missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
     assert len(missing) == 3 and "counts to 256 only" in missing[0]
+
+
+@pytest.mark.parametrize(
+    ("signal", "motion", "role", "state", "words"),
+    [
+        ("18|22@1- (1E-007,0)", {}, "Referenced", "ok", ""),
+        ("18|22@1- (1E-007,0)", {}, "", "fail", "every 0.41943 m of a travel of"),
+        ("18|22@1- (1E-007,0)", {"motion.stroke": 0.3}, "", "ok", ""),
+        ("18|22@1+ (1E-007,0)", {"motion.start": -0.2, "motion.stroke": 0.3}, "", "ok", ""),
+        ("18|22@1- (1E-006,0)", {}, "", "warn", "too coarse"),
+    ],
+)
+def test_an_encoder_whose_counter_wraps_fits_a_travel_within_its_turn_or_a_board_that_says_it_is_referenced(
+    check, tmp_path, signal, motion, role, state, words
+):
+    text = share_path("config/straightcomp.dbc").read_text()
+    (tmp_path / "board.dbc").write_text(text.replace("18|26@1- (1E-007,0) [-3.3554431|3.3554431]", f"{signal} [0|0]"))
+    wire = to_mapping(shipped_wire(True)) | {"x_wraps": True, "referenced.signal": role}
+    wire = {f"can.wire.{name}": value for name, value in wire.items()}
+    (finding,) = check(OWN, "wire x", stage=motion, driver={**wire, "can.dbc": str(tmp_path / "board.dbc")})
+    assert finding["state"] == state and words in f"{finding['detail']} {finding['remedy']}"
 
 
 PATHS = sorted(STAGES.glob("*.yaml"))

@@ -20,6 +20,9 @@ from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import ParameterError
+from straightcomp_ros.parameters.node_parameters import node_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.straightness.survey import write_survey
 from trials.noise import Kind, surveyed
 
@@ -77,6 +80,18 @@ def test_more_strokes_than_fit_one_trajectory_are_refused_before_anything_starts
     assert not (tmp_path / "new").exists()
     # A client of the gateway moves the stage by one movement after the other.
     assert demonstration._cycle(short_cycle, 33)[0] > 60.0
+
+
+@pytest.mark.parametrize("cycle_ms", [5, 500])
+def test_a_board_on_the_hub_may_say_its_state_as_seldom_as_its_file_says(tmp_path, cycle_ms):
+    text = share_path("config/board_motorola.dbc").read_text()
+    (tmp_path / "board_motorola.dbc").write_text(text.replace("BO_ 801 5;", f"BO_ 801 {cycle_ms};"))
+    stage = shutil.copy(share_path("config/board_motorola.yaml"), tmp_path)
+    values = shipped_parameters(stage=stage)
+    values["driver"] |= demonstration.on_hub(values, "bus")
+    can = node_parameters("driver", values).can
+    # The state is on every other page.
+    assert min(can.heartbeat_timeout, can.answer_timeout) > 4e-3 * cycle_ms
 
 
 @pytest.mark.live

@@ -164,6 +164,12 @@ class Wire:
         """Of all frames that the board sends."""
         return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
 
+    def state_interval(self, period: float) -> float:
+        """Time in s from one state of the amplifier to the next, with a sample each ``period`` s."""
+        frames = self.homes["amplifier"]
+        turns = len(frames.pages) if self._pages["amplifier"] else 1
+        return turns * (period if frames in self.parts else max(frames.period, frames.every * period))
+
     def source(self) -> str:
         """Name of the DBC file, and a checksum of it with the meaning: by it a firmware knows whether it has these
         frames."""
