@@ -183,7 +183,9 @@ def making(
                 if same_or_within(read, path):
                     raise OutputRefused(f"{path}: would be replaced, but is read: {read}; name another output folder")
             # Only what the mark has is looked through: another folder may be large, or closed.
-            if os.path.lexists(path) and not (force or (path.name in made and made[path.name] in (None, _files(path)))):
+            if force or not os.path.lexists(path):
+                continue
+            if path.name not in made or not (path.name in changing or made[path.name] in (None, _files(path))):
                 raise OutputRefused(
                     f"{path}: was not made by straightcomp, or was changed since; name another output folder, or give "
                     "--force to replace it"
@@ -198,7 +200,7 @@ def making(
             yield place
         except BaseException as error:
             with suppress(OSError):
-                _mark(folder, made | _found(folder, made, changing))
+                _mark(folder, made | _found(folder, made))
                 if anew and any(place.iterdir()):
                     error.kept = place  # type: ignore[attr-defined]
             raise
@@ -208,7 +210,7 @@ def making(
             for name in names:
                 _put(place / name, folder / name)
             remove(place)
-        _mark(folder, made | _found(folder, names, changing))
+        _mark(folder, made | _found(folder, names))
 
 
 def _put(new: Path, path: Path) -> None:
@@ -255,9 +257,8 @@ def _marked(folder: Path) -> dict[str, Any]:
     return made if isinstance(made, dict) else {}
 
 
-def _found(folder: Path, names: Iterable[str], changing: Sequence[str]) -> dict[str, Any]:
-    there = [name for name in names if os.path.lexists(folder / name)]
-    return {name: None if name in changing else _files(folder / name) for name in there}
+def _found(folder: Path, names: Iterable[str]) -> dict[str, Any]:
+    return {name: _files(folder / name) for name in names if os.path.lexists(folder / name)}
 
 
 def _mark(folder: Path, made: Mapping[str, Any]) -> None:

@@ -150,6 +150,19 @@ def test_a_machine_that_fell_silent_is_released_all_the_same(tmp_path):
     used.release()
     assert client.given["logger"] == {"output": "", "record_at_start": False}
     assert set(client.states.values()) == {"inactive", "unconfigured"}
+    # Nor does a node that has ended keep the others.
+    client.given["logger"], bring = {}, client.bring
+
+    def lacking(node, goal):
+        if node == "controller":
+            raise CommissioningError("it has ended")
+        bring(node, goal)
+
+    client.bring, client.states = lacking, {"driver": "active", "feedforward": "active"}
+    with pytest.raises(CommissioningError, match="ended"):
+        used.release()
+    assert client.given["logger"] == {"output": "", "record_at_start": False}
+    assert set(client.states.values()) == {"inactive", "unconfigured"}
 
 
 def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(tmp_path):

@@ -268,9 +268,7 @@ def signs_and_scales(work: Work) -> Outcome:
     shaken = work.machine.play(
         ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=travel)
     )
-    if shaken.left_at is not None and (pulled := _unbalanced(shaken.left_at, travel, stage, float(shaken.y[0]))):
-        return Outcome(False, pulled)
-    if pulled := _pulled_away(shaken):
+    if shaken.left_at is not None and (pulled := _unbalanced(shaken, shaken.left_at, travel, stage)):
         return Outcome(False, pulled)
     readback = current_readback(shaken, stage.drive, stage.period)
     figures: dict[str, Any] = {
@@ -330,7 +328,7 @@ def _pulled_away(series: Series) -> str:
     )
 
 
-def _unbalanced(left_at: int, travel: float, stage: StageParameters, place: float) -> str:
+def _unbalanced(shaken: Series, left_at: int, travel: float, stage: StageParameters) -> str:
     """What pulled the platform away without a current that could; empty where the samples are enough all the same.
 
     At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
@@ -339,19 +337,22 @@ def _unbalanced(left_at: int, travel: float, stage: StageParameters, place: floa
     # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
     weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
     alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
-    if 2.0 * travel / time**2 < _ONE_COIL * alone:
-        if left_at >= _ENOUGH:
-            return ""
-        return (
-            f"the shake moved the platform by {travel * 1e6:g} µm within {left_at} samples, in which the current's "
-            f"path does not show; needed: {_ENOUGH}; raise 'stage.rate', or hold the platform"
-        )
+    slow = 2.0 * travel / time**2 < _ONE_COIL * alone
+    if slow and ((pulled := _pulled_away(shaken)) or left_at >= _ENOUGH):
+        return pulled
+    place = float(shaken.y[0])
     pull = actuator.position_stiffness * abs(place)
     beside = f"; or move the platform to the middle: at y = {place * 1e6:.3g} µm they pull with {pull:.2g} N"
+    beside = beside if pull > stage.friction.coulomb / stage.uncertainty.friction else ""
+    if slow:
+        return (
+            f"the platform left {travel * 1e6:g} µm within {left_at} samples, in which the current's path does not "
+            f"show; needed: {_ENOUGH}; raise 'stage.rate', or hold the platform{beside}"
+        )
     return (
         f"with the amplifier on and hardly any current the platform left {travel * 1e6:g} µm within {time * 1e3:.3g} "
         "ms: the magnets do not balance; look for a coil without current, and for a bias current that is not "
-        f"{actuator.bias_current:g} A in both{beside if pull > stage.friction.coulomb / ranges.friction else ''}"
+        f"{actuator.bias_current:g} A in both{beside}"
     )
 
 

@@ -237,6 +237,9 @@ def test_a_platform_that_nothing_holds_before_the_current_comes_is_not_taken_for
 def test_a_light_platform_that_leaves_within_few_samples_is_not_taken_for_a_missing_coil(tmp_path):
     outcome = signs_and_scales(work_on(values_of(platform__mass=1.0, rate=1000, **FREE), tmp_path))
     assert not outcome.passed and "'stage.rate'" in outcome.sentence
+    off = values_of({"simulated.initial_y": 3e-5}, **FREE)
+    outcome = signs_and_scales(work_on(off, tmp_path))
+    assert not outcome.passed and "to the middle" in outcome.sentence and "y = 30 µm" in outcome.sentence
 
 
 @pytest.mark.parametrize("stop", [5e-4, 1e-5])
