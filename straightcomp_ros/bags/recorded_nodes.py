@@ -37,7 +37,7 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     """Values by node and dotted name, under the present names; empty when none are attached.
 
     The attachments are those of ``bag``, from :func:`straightcomp_ros.bags.reader.read_attachments`. Raises BagError
-    when they have a parameter file that is none.
+    when they have a parameter file that is none, or that has a node of one name in two namespaces.
     """
     where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"
     try:
@@ -45,8 +45,13 @@ def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str
     except ParameterError as error:
         raise BagError(f"{where}: {error}; record the bag again") from error
     values: dict[str, dict[str, Any]] = {}
+    namespaces: dict[str, str] = {}
     for key, given in sections:
-        own = values.setdefault(key.rsplit("/", 1)[-1], {})
+        namespace, _, node = key.lstrip("/").rpartition("/")
+        if namespaces.setdefault(node, namespace) != namespace:
+            both = f"'{namespaces[node]}/{node}' and '{key}'"
+            raise BagError(f"{where}: has {both}; record the bag again with one of them in the logger's 'nodes'")
+        own = values.setdefault(node, {})
         own |= {name: value for name, value in given.items() if not belongs_to_ros(name)}
     for node, name in _ONCE_SAMPLES:
         own = values.get(node, {})
@@ -70,12 +75,13 @@ def note_changes(
 
 
 def noted_changes(files: Sequence[BagInput]) -> list[tuple[int, dict[str, str]]]:
-    """When parameters changed in a recording, in ns, and to what, by node and dotted name."""
+    """When parameters changed in a recording, in ns, and to what, by node, without its namespace, and dotted name."""
     found = []
     for record in (record for file in files for record in file.metadata() if record.name == PARAMETERS_CHANGED):
         changed = dict(record.metadata)
         with suppress(KeyError, ValueError):
-            found.append((int(changed.pop(_TIME_NS)), changed))
+            when = int(changed.pop(_TIME_NS))
+            found.append((when, {name.rpartition("/")[2]: value for name, value in changed.items()}))
     return found
 
 
@@ -83,12 +89,15 @@ def parameters_of(
     bag: Path, attachments: Mapping[str, bytes], given: Mapping[str, Mapping[str, Any]] | None
 ) -> Mapping[str, Mapping[str, Any]]:
     """As :func:`recorded_parameters`, or those that are ``given`` for a bag that has none of the controller attached.
-    Raises BagError when it has, too: of two sets only one can be the recorded run's."""
+    Raises BagError for a bag that has none and is given none, and for one that has both: only one can be the run's."""
     found = recorded_parameters(bag, attachments)
-    if given is None:
-        return found
     if "controller" in found:
-        raise BagError(f"bag {bag}: has the parameters of its run attached; --params-file is for a bag without them")
+        if given is not None:
+            text = "has the parameters of its run attached; --params-file is for a bag without them"
+            raise BagError(f"bag {bag}: {text}")
+        return found
+    if given is None:
+        raise BagError(f"bag {bag}: the controller's parameters are not attached; give them with --params-file")
     return given
 
 
@@ -100,7 +109,10 @@ def attach_parameters(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -
 
     sections = {node: {PARAMETERS: dict(own)} for node, own in values.items() if own}
     bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", dump_yaml(sections).encode())
-    given = under("stage.guide.", values.get("feedforward", {}))
+    feedforward = next((own for node, own in values.items() if node.rpartition("/")[2] == "feedforward"), None)
+    if feedforward is None:
+        return "the map is not attached to the bag: no feedforward among the logger's 'nodes' has answered"
+    given = under("stage.guide.", feedforward)
     try:
         path = find_survey(str(given.get("file", MapParameters().file)))
         data = path.read_bytes()

@@ -32,7 +32,8 @@ class SimulatedRun:
         self._last_ns: int | None = None
         for stream in STREAMS:
             self._bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000)))
-        attach_parameters(self._bag, parameters)
+        # A simulation has a feedforward, also where all its parameters are defaults.
+        attach_parameters(self._bag, {"feedforward": {}, **parameters})
         self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
 
     def add(self, sample: Any, truth: Any, reference: Any, command: Any, reference_age: float) -> None:

@@ -94,8 +94,6 @@ def audit(
             when for when, changed in noted_changes(files) if any(name.startswith("controller.") for name in changed)
         ]
     valid_ns = min(changes, default=math.inf) - _NOTICED_NS
-    if "controller" not in values:
-        raise BagError(f"bag {bag}: the controller's parameters are not attached; give them with --params-file")
     try:
         parameters: ControllerNodeParameters = node_parameters("controller", values)
     except ParameterError as error:

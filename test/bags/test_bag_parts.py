@@ -8,13 +8,16 @@ from pathlib import Path
 
 import pytest
 import yaml
+from places import REPOSITORY
 from recording import described, record, sqlite_bag
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import SqliteInput, found_files
+from straightcomp_ros.bags.folder import SqliteInput, found_files, opened
 from straightcomp_ros.bags.mcap_input import message_places
-from straightcomp_ros.bags.recorded_nodes import recorded_parameters
+from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.recorded_nodes import attach_parameters, note_changes, noted_changes, recorded_parameters
 from straightcomp_ros.bags.topics import TopicQos, definition, resolved
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import STREAMS
 
 MESSAGE, OTHER = 5, 4
@@ -151,6 +154,42 @@ def test_parameters_of_ros_itself_are_not_those_of_a_node():
     for wrong in (b"[1]", b"a: 1", b"a: {b: 1}", b"a: {ros__parameters: 1}", b"["):
         with pytest.raises(BagError, match="record the bag again"):
             recorded_parameters("bag", {"parameters.yaml": wrong})
+
+
+def test_the_nodes_of_two_machines_in_a_bag_are_not_taken_for_those_of_one():
+    two = "{0}: {{ros__parameters: {{a: 1}}}}\n{1}: {{ros__parameters: {{b: 2}}}}\n"
+    with pytest.raises(BagError, match="'one/driver' and '/two/driver'"):
+        recorded_parameters("bag", {"parameters.yaml": two.format("/one/driver", "/two/driver").encode()})
+    found = recorded_parameters("bag", {"parameters.yaml": two.format("driver", "/driver").encode()})
+    assert found == {"driver": {"a": 1, "b": 2}}
+
+
+SURVEYS = [str(REPOSITORY / "config" / f"{name}_synthetic.csv") for name in ("survey", "guide")]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "survey"),
+    [
+        ({"feedforward": {"stage.guide.file": SURVEYS[1]}}, SURVEYS[1]),
+        ({"/a/driver": {}, "/a/feedforward": {"stage.guide.file": SURVEYS[1]}}, SURVEYS[1]),
+        ({"feedforward": {}}, SURVEYS[0]),
+        ({"driver": {"stage.guide.file": SURVEYS[1]}}, None),
+        ({}, None),
+    ],
+)
+def test_the_map_of_a_bag_is_that_of_its_feedforward_or_none(tmp_path, nodes, survey):
+    with BagWriter(tmp_path / "bag") as bag:
+        reason = attach_parameters(bag, nodes)
+    assert read_attachments(tmp_path / "bag").get("map.csv") == (survey and Path(survey).read_bytes())
+    assert bool(reason) == (survey is None)
+
+
+@pytest.mark.parametrize("node", ["controller", "/a/controller"])
+def test_what_changes_on_a_node_is_noted_under_its_name_without_the_namespace(tmp_path, node):
+    with BagWriter(tmp_path / "bag") as bag:
+        note_changes(bag, 5, {node: {"x.y": 1, "z": 1}}, {node: {"x.y": 2, "z": 1}})
+    with opened(tmp_path / "bag") as files:
+        assert noted_changes(files) == [(5, {"controller.x.y": "2"})]
 
 
 @pytest.mark.parametrize(("written", "seconds"), [("12", 0.006), ("0.006", 0.006), ("0", 0.0)])
