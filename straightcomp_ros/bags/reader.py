@@ -29,7 +29,7 @@ class Messages:
     """Messages of one topic in the order in which they were recorded.
 
     Attributes:
-        topic, type_name, described: as in :class:`straightcomp_ros.bags.topics.Topic`.
+        topic, type_name, described: name, full type and definition, as in :class:`straightcomp_ros.bags.topics.Topic`.
         log_time, publish_time: when each was received, and made by its source, ns since the epoch.
         data: each as CDR.
     """
@@ -43,7 +43,7 @@ class Messages:
 
     def describe(self, path: Path, topic: Topic) -> None:
         """Take type and definition of the first entry in the bag's files that has them."""
-        self.type_name = self.type_name or topic.type_name
+        self.type_name = self.type_name or topic.full_type
         if topic.described and topic.described.text and not self.described:
             self.described = topic.described
 
@@ -78,7 +78,7 @@ def messages_on(topic: str, files: Sequence[BagInput]) -> Messages:
     """All messages of the topic with this full name. Raises BagError when the bag is damaged."""
     found = Messages(topic)
     having = [file for file in files if any(one.name == topic for one in file.topics.values())]
-    kinds = sorted({one.type_name for file in having for one in file.topics.values() if one.name == topic})
+    kinds = sorted({one.full_type for file in having for one in file.topics.values() if one.name == topic})
     if len(kinds) > 1:
         words = "' and '".join(kinds)
         raise BagError(f"bag {having[0].path}: topic '{topic}' has messages of types '{words}'; allowed is one type")
@@ -134,9 +134,8 @@ class StreamDecoder:
 
     def describe(self, path: Path, topic: Topic) -> None:
         """Raise BagError when the topic in the file ``path`` has messages of another type."""
-        # Some tools write the type without its namespace: sensor_msgs/JointState.
-        names, allowed = (topic.type_name, topic.type_name.replace("/", "/msg/", 1)), self._layout.type_name
-        if allowed not in names or topic.encoding != "cdr":
+        allowed = self._layout.type_name
+        if topic.full_type != allowed or topic.encoding != "cdr":
             raise BagError(
                 f"bag {path}: topic '{topic.name}' has messages of type '{topic.type_name}' in encoding "
                 f"'{topic.encoding}'; allowed is {allowed} in encoding 'cdr'"

@@ -126,6 +126,14 @@ class Topic:
     encoding: str = "cdr"
 
     @property
+    def full_type(self) -> str:
+        """The type with its namespace, which some tools leave out (sensor_msgs/JointState), and which types of ROS 1,
+        whose messages are not in CDR, do not have."""
+        package, _, name = self.type_name.partition("/")
+        short = self.encoding == "cdr" and name and "/" not in name
+        return f"{package}/msg/{name}" if short else self.type_name
+
+    @property
     def definition(self) -> Definition:
         """The definition; BagError when neither the topic nor ROS 2's own packages have it."""
         return self.described or definition(self.type_name)

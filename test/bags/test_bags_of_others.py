@@ -241,14 +241,15 @@ IDL_OF_BOTH += idl_of("geometry_msgs/msg/Point", "double x; double y; double z;"
 
 @pytest.mark.parametrize("encoding", ["ros2msg", "ros2idl"])
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encoding, storage):
+@pytest.mark.parametrize("name", [TRACER, TRACER.replace("/msg", "")])
+def test_a_type_of_ones_own_is_read_by_the_definition_in_the_bag(tmp_path, encoding, storage, name):
     text, messages = custom_messages()
     text = text if encoding == "ros2msg" else IDL_OF_BOTH
     if storage == "sqlite3":
         rows = [("/probe", 10 + n, data) for n, data in enumerate(messages)]
-        bag = sqlite_bag(tmp_path / "b_0.db3", {"/probe": TRACER}, rows, [(TRACER, encoding, text)])
+        bag = sqlite_bag(tmp_path / "b_0.db3", {"/probe": name}, rows, [(name, encoding, text)])
     else:
-        recorded = [One("/probe", TRACER, text.encode(), data, 10, 10) for data in messages]
+        recorded = [One("/probe", name, text.encode(), data, 10, 10) for data in messages]
         bag = written(recorded, tmp_path / "b_0.mcap", encoding=encoding)
     assert read_field(bag, Field("/probe", "point.y")).values.tolist() == [0.5, 1.5, 2.5]
 
