@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,9 @@ START_NS = 1_000_000_000
 
 
 class SimulatedRun:
-    """Writes each sample with its answer; as a context manager it finishes the bag. Stamps and times of reception are
-    simulated time. Raises BagError when the folder holds files or cannot be written.
+    """Writes each sample with its answer; as a context manager it finishes the bag, also of a run that fails, and
+    removes it when the program is stopped (Ctrl-C). Stamps and times of reception are simulated time. Raises BagError
+    when the folder holds files or cannot be written.
 
     Args:
         directory: the bag's folder; must be empty or absent.
@@ -57,5 +59,8 @@ class SimulatedRun:
     def __enter__(self) -> SimulatedRun:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._bag.close()
+        if kind is not None and not issubclass(kind, Exception):
+            # Half of a run in simulated time would be taken for a whole one.
+            shutil.rmtree(self._bag.directory.resolve())

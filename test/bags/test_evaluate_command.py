@@ -7,9 +7,11 @@ from places import SMC
 from recorded_run import recorded_run
 from verbs import ran
 
+from straightcomp_ros.cli import Terminated
 from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.control.laws import ControlParameters
 from straightcomp_ros.messages.cdr import joint_state
+from straightcomp_ros.offline.simulation import Simulation
 
 CYCLE = {"motion.stroke": 0.05, "motion.settle": 0.1, "motion.pause": 0.1}
 OPTIONS = [word for name, value in CYCLE.items() for word in ("--set", f"stage.{name}={value}")]
@@ -39,6 +41,22 @@ def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_ch
     assert [stroke["direction"] for stroke in evaluated["strokes"]] == ["forward", "backward"]
     assert (evaluated["lost_samples"], evaluated["lost_commands"]) == (0, 0)
     assert evaluated["latency_p50_us"] == pytest.approx(5e5 * simulated["delay_samples"] / 1e3)
+
+
+@pytest.mark.parametrize(("stop", "left"), [(KeyboardInterrupt, False), (Terminated, False), (ValueError, True)])
+def test_of_a_simulation_that_is_stopped_in_the_second_stroke_no_bag_is_left(tmp_path, verb, monkeypatch, stop, left):
+    """Of one that fails the bag shows how."""
+    whole, runs = Simulation.run, []
+
+    def run(*given):
+        if runs:
+            raise stop
+        runs.append(whole(*given))
+        return runs[0]
+
+    monkeypatch.setattr(Simulation, "run", run)
+    assert verb("simulate", "--bag", tmp_path / "run", "--strokes", 2, *OPTIONS).code != 0 and runs
+    assert (tmp_path / "run").exists() == left
 
 
 def test_a_topic_under_another_name_is_found_by_remap(bag, verb):
