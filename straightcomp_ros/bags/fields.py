@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ _IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
 _LATEST_NS = (1 << 63) - 1
 _LONGEST_GAP_NS = 100_000_000
 """Time between two samples up to which their values are interpolated."""
+_SET_BACK_NS = 20_000_000
+"""A stamp that is so far below an earlier one has no delay on its way: `evaluate` notices as much."""
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 
 
@@ -73,13 +76,26 @@ class FieldValues:
 
 def read_field(bag: Path, field: Field) -> FieldValues:
     """The values of a field in the order of the stamps, the first of each. Raises BagError when the bag cannot be read,
-    lacks the topic, or its messages lack the field."""
+    lacks the topic, or its messages lack the field. Warns (UserWarning) where the stamps go back."""
     messages = read_messages(bag, field.topic)
     known = _layout_with(field, messages)
     if known:
         layout, column = known
-        stream = read_streams(bag, {messages.topic: layout})[messages.topic].by_stamp()
-        return FieldValues(stream.stamp, stream.columns[column], True)
+        stream = read_streams(bag, {messages.topic: layout})[messages.topic]
+        stamp, values, stamped = stream.stamp, stream.columns[column], True
+    else:
+        stamp, values, stamped = _decoded_values(bag, field, messages)
+    back = int(np.max(np.maximum.accumulate(stamp) - stamp))
+    if back > _SET_BACK_NS:
+        text = f"the stamps on '{messages.topic}' go back by {back * 1e-9:.3g} s and are put in order"
+        remedy = "if the clock was set back, readings of two places are mixed: record again"
+        warnings.warn(f"bag {bag}: {text}; {remedy}", stacklevel=2)
+    stamp, first = np.unique(stamp, return_index=True)
+    return FieldValues(stamp, values[first], stamped)
+
+
+def _decoded_values(bag: Path, field: Field, messages: Messages) -> tuple[NDArray[np.int64], NDArray[np.float64], bool]:
+    """Stamps and values in the order of recording, and whether the stamps are those of headers."""
     types = _types_of(bag, messages)
     stamp, values = np.empty(len(messages.data), np.int64), np.empty(len(messages.data))
     stamped = True
@@ -93,8 +109,7 @@ def read_field(bag: Path, field: Field) -> FieldValues:
         if abs(time_ns) > _LATEST_NS:
             raise BagError(f"{where} is of {time_ns} ns since the epoch; allowed: <= {_LATEST_NS}")
         stamp[place] = time_ns
-    stamp, first = np.unique(stamp, return_index=True)
-    return FieldValues(stamp, values[first], stamped)
+    return stamp, values, stamped
 
 
 def _layout_with(field: Field, messages: Messages) -> tuple[Layout, str] | None:

@@ -10,6 +10,8 @@ from bag_of_rows import bag_of_rows
 from places import BAGS
 
 from straightcomp_ros.analysis.map_building import Choices, disagreement
+from straightcomp_ros.bags import noting_warnings
+from straightcomp_ros.bags.fields import Field
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER
@@ -320,6 +322,27 @@ def test_samples_are_put_in_order_and_readings_before_and_after_the_stages_are_l
     shuffled = np.random.default_rng(1).permutation(np.concatenate([SECOND, SECOND[:30]]))
     found = read_bag(lambda t: 1e-6 * t, shuffled, shuffled[::-1])
     assert found.time == pytest.approx(SECOND) and found.deviation == pytest.approx(1e-6 * SECOND)
+
+
+@pytest.mark.parametrize("probe", ["position[displacement]", "point.y"])
+@pytest.mark.parametrize("back, said", [(0.5, True), (0.019, False)])
+def test_stamps_of_a_clock_that_was_set_back_are_named_and_not_put_in_order_without_a_word(tmp_path, probe, back, said):
+    """A stamp that is a little late is not."""
+    kind = DISPLACEMENT.layout.type_name if "[" in probe else "geometry_msgs/msg/PointStamped"
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add(Topic("/encoder", ENCODER.layout.type_name))
+        bag.add(Topic("/probe", kind))
+        for t in SECOND:
+            stamp = START_NS + round((t - back * (t > 0.7)) * 1e9)
+            head = ENCAPSULATION + struct.pack("<II4s4x", *divmod(stamp, 10**9), b"\1\0\0\0")
+            own = DISPLACEMENT.layout.pack(stamp, 1e-6) if "[" in probe else head + struct.pack("<3d", 0, 1e-6, 0)
+            bag.write("/encoder", ENCODER.layout.pack(stamp, SPEED * t, 0.0, 0.0, 0.0), START_NS, START_NS)
+            bag.write("/probe", own, START_NS, START_NS)
+    with noting_warnings() as texts:
+        series_of_bag(tmp_path / "bag", sensor=Sensor(Field("probe", probe)))
+    assert [any(f"'/{topic}' go back by 0.49 s" in one for one in texts) for topic in ("encoder", "probe")] == [
+        said
+    ] * 2
 
 
 def test_what_is_not_finite_is_left_out_and_three_samples_must_be_left(read_bag):
