@@ -27,7 +27,7 @@ from straightcomp_ros.analysis.assessment import Assessment, assessed
 from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.folder import found_beside, found_files
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import read_reports
@@ -215,9 +215,8 @@ def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
         sound = False
     if sound and not secrets and not last and all(_NAME.fullmatch(f"{BAG}/{one.name}") for one in paths):
         copy.mkdir()
-        for one in [*paths, paths[0].with_name("metadata.yaml")]:
-            if one.is_file() and (bag.is_dir() or one in paths):
-                shutil.copyfile(one, copy / one.name)
+        for one in [*paths, *found_beside(bag, paths)]:
+            shutil.copyfile(one, copy / one.name)
         return copy
 
     def edit(name: str, data: bytes) -> bytes:

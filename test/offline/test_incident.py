@@ -1,15 +1,21 @@
 """An incident names its cause, opens anywhere, tells no secret, and a file that only looks like one is refused."""
 
 import shutil
+import sqlite3
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from bag_of_rows import STORE
 from places import SMC
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as SqliteWriter
 from tiers import nightly
 
-from straightcomp_ros.bags.reader import read_attachments
+from straightcomp_ros.bags.reader import read_attachments, read_messages
 from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.contract import STREAMS
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline import incident
 from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, incident_page, judged, pack, unpack
@@ -70,6 +76,38 @@ def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_ou
     (file,) = SMC.glob("*.mcap")
     with zipfile.ZipFile(tmp_path / "a.zip") as archive:
         assert archive.read(f"bag/{file.name}") == file.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def in_a_log(tmp_path_factory):
+    """The sample run as a bag of SQLite, nearly all of whose messages are still in the log beside its file."""
+    bag = tmp_path_factory.mktemp("sqlite") / "run"
+    with SqliteWriter(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        for stream in STREAMS:
+            connection = writer.add_connection(f"/{stream.topic}", stream.layout.type_name, typestore=STORE)
+            messages = read_messages(SMC, stream.topic)
+            for time_ns, data in zip(messages.log_time, messages.data, strict=True):
+                writer.write(connection, time_ns, data)
+    with closing(sqlite3.connect(next(bag.glob("*.db3")))) as file:
+        file.execute("PRAGMA journal_mode = WAL")
+        file.execute("PRAGMA wal_autocheckpoint = 0")
+        rows = file.execute("SELECT * FROM messages WHERE id > 100").fetchall()
+        file.execute("DELETE FROM messages WHERE id > 100")
+        file.commit()
+        file.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        file.executemany(f"INSERT INTO messages VALUES ({', '.join('?' * len(rows[0]))})", rows)
+        file.commit()
+        yield bag
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_bag_of_sqlite_is_whole_in_its_incident(in_a_log, tmp_path, alone):
+    pack(next(in_a_log.glob("*.db3")) if alone else in_a_log, tmp_path / "a.zip", [])
+    (tmp_path / "opened").mkdir()
+    unpack(tmp_path / "a.zip", tmp_path / "opened")
+    there, here = (judged(one, {}).assessment for one in (in_a_log, tmp_path / "opened" / "bag"))
+    assert there.verdict.in_order and here.verdict == there.verdict
+    assert here.evaluation.received_samples == there.evaluation.received_samples > 1000
 
 
 @pytest.mark.parametrize("last", [0.0, 2.0])
