@@ -102,9 +102,8 @@ def output_file(
         raise CommandFailed(f"{option} {name}: is a folder; name a file", exit_code=2)
     if not path.parent.is_dir():
         raise CommandFailed(f"{option} {name}: there is no folder {path.parent}; make it first", exit_code=2)
-    others = [str(value) for key, value in vars(options).items() if key != own and isinstance(value, (str, Path))]
     # Two outputs of one name, neither of which is there yet, also through a link.
-    if not path.exists() and os.path.realpath(path) in map(os.path.realpath, filter(None, others)):
+    if not path.exists() and os.path.realpath(path) in map(os.path.realpath, _names(options, own)):
         raise CommandFailed(f"{option} {name}: another option names it too; name another file", exit_code=2)
     if path.is_file() and not (updates and same_or_within(path, Path(updates))):
         for read in named_files(options, option):
@@ -127,21 +126,32 @@ def attribute(option: str) -> str:
 
 
 def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
-    """Files and folders that are there and that options or arguments name, also as ``NAME=FILE``, but for one's; with
-    those that a YAML file among them names."""
+    """Files and folders that are there and that options or arguments name, but for one's; with files that are named as
+    ``NAME=FILE``, and those that a YAML file among them names."""
     from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
-    own = attribute(without)
-    values = [value for name, value in vars(options).items() if name != own]
-    values += [one for value in values if isinstance(value, list) for one in value]
-    names = [str(value) for value in values if isinstance(value, (str, Path)) and str(value)]
-    names += [name.partition("=")[2] for name in names if "=" in name]
-    found = [Path(name) for name in names if name and os.path.exists(name)]
+    names = _names(options, attribute(without))
+    found = [Path(name) for name in names if os.path.exists(name)]
+    found += [Path(value) for _, _, value in (name.partition("=") for name in names) if os.path.isfile(value)]
     for file in [path for path in found if path.is_file() and path.suffix in (".yaml", ".yml")]:
         with suppress(YamlError, OSError):
             paths = [os.path.expanduser(text) for text in _texts(load_yaml(file))]
             found += [place / path for path in paths for place in (Path(), file.parent) if os.path.isfile(place / path)]
     return found
+
+
+WORDS = {
+    "verb", "tool", "law", "laws", "graph", "hardware", "format", "unit", "moved", "only", "error", "known", "smooth",
+    "name", "namespace", "dask", "sensor", "position", "remap", "note", "x_column", "deviation_column", "since", "sql",
+}  # fmt: skip
+"""Options and arguments whose texts name no file, though a file or folder may be called so."""
+
+
+def _names(options: argparse.Namespace, without: str) -> list[str]:
+    """Texts of options and arguments that may name a file, but for one's."""
+    values = [value for key, value in vars(options).items() if key != without and key not in WORDS]
+    values += [one for value in values if isinstance(value, list) for one in value]
+    return [str(value) for value in values if isinstance(value, (str, Path)) and str(value)]
 
 
 def _texts(tree: Any) -> list[str]:

@@ -1,13 +1,17 @@
 """No verb replaces what it reads, or, unasked, a file that is there."""
 
+import argparse
+import re
 import shlex
 import shutil
 from pathlib import Path
 
 import pytest
 from places import BAGS, REPOSITORY
+from test_command_line import parsers
 
-from straightcomp_ros.cli.main import main
+from straightcomp_ros.cli.main import main, make_parser
+from straightcomp_ros.cli.options import WORDS
 
 INPUTS = [
     "map convert t.cal -o t.cal",
@@ -90,3 +94,40 @@ def test_what_is_read_is_never_replaced_and_what_is_there_not_unasked(folder, li
         pytest.importorskip("rclpy")
     assert main(shlex.split(line)) in ((2,) if line in [*FORCED, *GRAPH] else (1, 2))
     assert content() == folder
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "simulate --law linear --plot linear/run.png --set stage.name=name --set stage.motion.stroke=0.02",
+        "simulate --set stage.name=linear --plot linear/run.png --set stage.motion.stroke=0.02",
+        "map build s.csv -o map/survey.csv",
+        "map build s.csv -o build",
+        "map export -o export/table.cal",
+        "stage check stage/stage.yaml --plot stage/map.pdf",
+    ],
+)
+def test_a_word_of_the_command_is_no_file_that_it_reads(tmp_path, monkeypatch, line):
+    monkeypatch.chdir(tmp_path)
+    for name in ("linear", "map", "export"):
+        Path(name).mkdir()
+    shutil.copy(REPOSITORY / "config" / "survey_synthetic.csv", "s.csv")
+    assert main(["stage", "new", "stage", "--yes"]) == 0
+    for _ in range(2):
+        assert main([*line.split(), "--force"]) in (0, 1)
+    assert Path(re.search("(-o|--plot) (\\S+)", line)[2]).stat().st_size > 100
+
+
+def is_text(option):
+    try:
+        return isinstance((option.type or str)("1"), str)
+    except argparse.ArgumentTypeError:
+        return True
+
+
+def test_each_option_of_a_verb_that_writes_names_a_file_by_its_metavar_or_is_among_the_words():
+    of_files = re.compile("BAG2?|CSV|DIR|FILE|LOG|PATH|SOURCE|STAGE|STORE|SURVEY(_2|_NORMAL)?|(NODE.)?NAME=VALUE")
+    for words, parser in parsers(make_parser()):
+        texts = [one for one in parser._actions if one.nargs != 0 and is_text(one) and one.dest not in WORDS]
+        if any(one.dest == "force" for one in parser._actions):
+            assert all(of_files.fullmatch(one.metavar or "") for one in texts), words

@@ -235,7 +235,7 @@ def _report(options: argparse.Namespace) -> None:
 def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("store", metavar="STORE", help="folder or URL")
-    add("stage", metavar="STAGE", help="name of the stage")
+    add("name", metavar="NAME", help="name of the stage")
     add("--survey", "--map", required=True, metavar="FILE", help="the survey that the strokes used (formerly --map)")
     add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
     add_force(parser)
@@ -262,7 +262,7 @@ def _map(options: argparse.Namespace) -> None:
     if output is not None and output.resolve() == old:
         raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
     guide = chosen_guide(options)
-    proposal = proposed_map(Store(options.store).strokes(options.stage), Path(old), options.days, guide)
+    proposal = proposed_map(Store(options.store).strokes(options.name), Path(old), options.days, guide)
     if output is not None:
         proposal.built.write(output)
     if plot is not None:
@@ -274,7 +274,7 @@ def _map(options: argparse.Namespace) -> None:
         change = {"x_mm": (built.straightness.report.x * 1e3).tolist(), "change_um": (proposal.change * 1e6).tolist()}
         print_json({**proposal.figures(), **change, "provenance": built.provenance, "output": options.output})
         return
-    console.print(figures_table(f"Proposed map of stage '{options.stage}'", proposal.figures()))
+    console.print(figures_table(f"Proposed map of stage '{options.name}'", proposal.figures()))
     if output is not None or plot is not None:
         print_written(*filter(None, (output, plot)), then="name the map in stage.guide.file; straightcomp stage check")
 
