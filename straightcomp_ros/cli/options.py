@@ -43,7 +43,7 @@ def _text(pattern: str, allowed: str) -> Callable[[str], str]:
 
 def add_namespace(parser: argparse._ActionsContainer) -> None:
     """Declare ``--namespace``."""
-    kind = _text(r"(/?[A-Za-z_]\w*)*/?", "letters, digits and _, e.g. stage_1 or cell/stage_1")
+    kind = _text(r"(?a)/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?", "letters, digits and _, e.g. stage_1 or cell/stage_1")
     parser.add_argument("--namespace", default="", metavar="NAME", type=kind, help="namespace of the graph")
 
 

@@ -73,7 +73,10 @@ CASES = [
     ("dsp --drift-ppm 1e9", "--drift-ppm 1e+09; allowed: -1000 to 1000 ppm"),
     ("opcua cycle --user u --url garbage", "garbage': is no endpoint; allowed: opc.tcp://HOST:PORT"),
     ("opcua cycle --user u --url opc.tcp://host:x/", "is no endpoint"),
-    ("view --namespace 2nd", "--namespace: '2nd'; allowed: letters, digits and _"),
+    *(
+        (f"view --namespace {name}", f"--namespace: '{name}'; allowed: letters, digits and _")
+        for name in ("2nd", "a//b", "prüfstand", f"{'a' * 60}-1")
+    ),
     ("robustness --trials 1 --law linear --dask nowhere", "--dask: 'nowhere'; allowed: HOST:PORT"),
     ("commission --graph running -o found --set stage.platform.mass=3", "--set: not with --graph running, whose nodes"),
     ("frequency-response --graph running --stage gantry.yaml", "--stage: not with --graph running"),
