@@ -87,8 +87,12 @@ class CellNode(Runnable):
         except CycleFailed as failure:
             self._failing = True
             before, end = self._graph.reports(), time.monotonic() + _REPORTED_S
-            # Keep ticking: the sequencer still has to switch the amplifier off.
-            while time.monotonic() < end or (not self._seen.missing and self._graph.quiet(_QUIET_S)):
+            # Keep ticking: the sequencer still has to switch the amplifier off, in Stopping once the stage stands.
+            while (
+                time.monotonic() < end
+                or self._sequence.state is State.STOPPING
+                or (not self._seen.missing and self._graph.quiet(_QUIET_S))
+            ):
                 yield
             if self._seen.missing:
                 gone = self._seen.absence

@@ -2,6 +2,7 @@
 
 import signal
 import sys
+from itertools import islice
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +11,7 @@ from parameters_of_tests import loop_parameters, of_node, short_parameters
 from waiting import wait_for_line
 
 from straightcomp_ros.cell.launcher import IN_THE_LOOP, RECORDED
+from straightcomp_ros.cell.packml import State
 from straightcomp_ros.contract import DIAGNOSTICS
 from straightcomp_ros.nodes import cell_node
 from straightcomp_ros.timing.node_timing import CPU_WAIT, REFUSED, SCHEDULING
@@ -116,11 +118,15 @@ def test_a_cycle_that_fails_says_which_node_got_no_cpu(monkeypatch):
     }
     cell._graph = SimpleNamespace(reports=lambda: reports, quiet=lambda seconds: False)
     cell._seen = SimpleNamespace(missing=())
+    cell._sequence = SimpleNamespace(state=State.STOPPING)
 
     def cycle():
         yield
         raise cell_node.CycleFailed("amplifier off in mid-cycle: command_timeout")
 
+    # While the stage comes to rest its amplifier stays on, and so does the cell.
+    assert len(list(islice(cell._explained(cycle()), 100))) == 100
+    cell._sequence.state = State.STOPPED
     words = "the controller got no CPU for 180 ms.*real-time priority is not permitted"
     for expected in (words, "^amplifier off in mid-cycle: command_timeout$"):
         with pytest.raises(cell_node.CycleFailed, match=expected):
