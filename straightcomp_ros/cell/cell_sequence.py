@@ -340,7 +340,10 @@ class CellSequence:
         """Clear the fault and switch on again, then go on with the interrupted ``work``."""
         self._recovering = True
         yield from self._clearing(0.0)
-        yield from self._switching_on()
+        for _ in self._switching_on():
+            # A fault now is another one, to be recovered from in its turn.
+            self._recovering = not self.seen.fault
+            yield
         self._recovering = False
         yield from work
 
@@ -424,8 +427,16 @@ class CellSequence:
         )
 
     def _completing(self) -> Iterator[None]:
-        # The stage's last movement has ended; another client may still be moving the stage.
-        while not (self._arrived() and (self.as_one or (self.seen.still and self._overdue(self.motion.settle)))):
+        moved = self.now
+        while True:
+            arrived = self._arrived()
+            if arrived and self.as_one:  # its trajectory ends with the settling time
+                break
+            # Another client may be moving the stage, or pause; a jog may not have begun.
+            if not (arrived and self.seen.stands) or self._jog:
+                moved = self.now
+            if self.now - moved > self.motion.settle:
+                break
             yield
         yield from self._switching_off()
 

@@ -229,6 +229,39 @@ def test_a_jog_moves_the_stage_while_the_platform_is_compensated_and_no_stroke_r
 
 
 @pytest.mark.parametrize(
+    ("strokes", "movement", "after"),
+    [
+        (1, None, 0),
+        # Another client's, with a rest that is longer than the settling time, and one that looks like rest.
+        (0, forward_and_back(replace(MOTION, settle=1.0)), 0),
+        (0, jog(replace(MOTION, speed=5e-4), 0.0, 1e-3), 0),
+        # A jog that the driver begins after the command.
+        (0, jog(MOTION, 0.0, 1e-3), 15),
+    ],
+)
+def test_complete_switches_off_when_the_stage_has_stood_for_the_settling_time_and_not_on_its_way(
+    strokes, movement, after
+):
+    bench, late = started(strokes), []
+    if after:
+        bench.move = late.append
+        bench.sequence.order(Order.JOG, 1000, lambda refusal: None)
+    elif movement:
+        bench.motion.begin(Trajectory(movement), round(bench.now * 1e9))
+    bench.ticks(8)
+    assert not bench.sequence.command(Command.COMPLETE)
+    moved, ticks = bench.now, 8
+    while bench.sequence.state is State.COMPLETING:
+        ticks += 1
+        if ticks == after:
+            bench.motion.begin(Trajectory(movement), round(bench.now * 1e9))
+        bench.tick()
+        moved = bench.now if bench.seen.stage.condition == "moving" else moved
+    assert bench.sequence.state is State.COMPLETE and ticks > max(after, 8) and bench.motion.over
+    assert MOTION.settle < bench.now - moved < MOTION.settle + 5 * TICK_S and not bench.seen.amplifier_on
+
+
+@pytest.mark.parametrize(
     ("trouble", "recoveries", "words"),
     [
         ({"faults": COIL}, 2, "coil burnt"),
@@ -447,6 +480,24 @@ def test_an_amplifier_that_goes_off_in_mid_cycle_is_switched_on_again_as_often_a
     bench.see(amplifier_on=False)
     bench.until(State.ABORTED)
     assert "amplifier" in bench.sequence.message
+
+
+@pytest.mark.parametrize(("recoveries", "state"), [(3, State.EXECUTE), (2, State.ABORTED)])
+def test_a_fault_while_the_amplifier_is_switched_on_again_is_recovered_from_as_another_one(recoveries, state):
+    bench, faults = started(1, as_one=True, recoveries=recoveries), [COIL, COIL]
+    request = bench.request
+
+    def tripping(service, on=None, then=lambda refusal: None):
+        if faults and on:
+            return bench.see(faults=faults.pop())
+        return request(service, on, then)
+
+    bench.request = tripping
+    bench.see(faults=COIL, amplifier_on=False)
+    bench.ticks(15)
+    assert bench.sequence.state is state and bench.sequence.recovered == recoveries
+    assert bench.seen.amplifier_on is (state is State.EXECUTE)
+    assert state is State.EXECUTE or bench.sequence.message == "driver: coil burnt"
 
 
 @pytest.mark.parametrize(
