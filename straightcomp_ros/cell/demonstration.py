@@ -175,8 +175,8 @@ def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequen
     except (BagError, MetricsError) as error:
         raise DemonstrationFailed(str(error)) from error
     recorded = float(record.time[-1])
-    # A client of the gateway chooses when to switch on and off: the rests before and after the strokes are its own.
-    least = 0.99 * duration - (2.0 * motion.settle if opcua_strokes else 0.0)
+    # The gateway rests for the pause between strokes, and its client chooses when to switch on and off.
+    least = 0.99 * duration - 2.0 * motion.settle * opcua_strokes
     if recorded < least:
         raise DemonstrationFailed(f"bag {bag} is short: {recorded:.1f} s of a cycle of {duration:.1f} s")
     begin_ns, end_ns = amplifier_on(reports.get("driver", []))

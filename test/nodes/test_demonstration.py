@@ -141,6 +141,15 @@ def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monk
         demonstrate(short_cycle, tmp_path)
 
 
+def test_strokes_of_the_gateway_are_whole_without_settling_times_between_them(tmp_path, short_cycle):
+    # By its pauses ten of them take as long as the one in the bag.
+    short_cycle["stage"].update({"motion.stroke": 1e-3, "motion.pause": 0.03})
+    shutil.copytree(SMC, tmp_path / "bag")
+    assert demonstration.judged(short_cycle, tmp_path, opcua_strokes=10).bag == tmp_path / "bag"
+    with pytest.raises(DemonstrationFailed, match="is short"):
+        demonstration.judged(short_cycle, tmp_path, opcua_strokes=20)
+
+
 def test_a_demonstration_without_a_bag_fails_with_the_reason(tmp_path, short_cycle, monkeypatch):
     monkeypatch.setattr(demonstration, "run_cycle", lambda *arguments, **options: None)
     with pytest.raises(DemonstrationFailed, match=str(tmp_path)) as failure:
