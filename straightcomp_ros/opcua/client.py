@@ -121,10 +121,13 @@ async def run_cycle(client: CellClient, strokes: int, progress: Callable[[float]
     Raises:
         CycleFailed: a command is refused, or the machine stops or aborts.
     """
-    if await client.state() is State.ABORTED:
+    state = await client.state()
+    if state is State.ABORTED:
         await client.command(Command.CLEAR)
         await client.until(State.STOPPED, {State.CLEARING}, progress)
-    await client.command(Command.RESET)
+    # A client that was interrupted may have given it.
+    if state not in (State.RESETTING, State.IDLE):
+        await client.command(Command.RESET)
     await client.until(State.IDLE, {State.RESETTING}, progress)
     await client.command(Command.START, strokes)
     under_way = {State.STARTING, State.EXECUTE, State.HOLDING, State.HELD, State.UNHOLDING, State.COMPLETING}

@@ -39,7 +39,7 @@ from opcua_clients import (
 
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.cell.packml import Command, Order
+from straightcomp_ros.cell.packml import Command, Order, State
 from straightcomp_ros.opcua import APPLICATION, client, gateway_server
 from straightcomp_ros.opcua.address_space import ARGUMENTS, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, add_user
@@ -130,6 +130,23 @@ async def test_the_reference_client_gives_every_command_that_takes_an_argument_a
         for asked, argument in given:
             await cell.command(asked, argument)
     assert plain.commands == given and {asked for asked, _ in given} == set(ARGUMENTS)
+
+
+@pytest.mark.parametrize("found", [State.RESETTING, State.IDLE])
+@probing
+async def test_the_reference_client_goes_on_where_one_before_was_interrupted(plain, found):
+    idle = replace(WELL, state=State.IDLE)
+    plain.server.show(replace(WELL, state=found))
+    try:
+        async with connected(plain.url, *OPERATOR) as cell:
+            while await cell.state() is not found:
+                await asyncio.sleep(0.05)
+            # This gateway accepts a command and stays where it is.
+            with pytest.raises(CycleFailed, match="Idle instead of Complete"):
+                await client.run_cycle(cell, 3, lambda done: plain.server.show(idle))
+    finally:
+        plain.server.show(WELL)
+    assert plain.commands == [(Command.START, 3)]
 
 
 @probing
