@@ -25,6 +25,7 @@ from PIL import Image
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags.reader import read_streams
+from straightcomp_ros.cell.observation import StrokeErrors
 from straightcomp_ros.cli.main import main as straightcomp
 from straightcomp_ros.contract import ENCODER, POSITION, POSITION_EVERY
 from straightcomp_ros.nodes.view_node import SHOWN, SLOT_S
@@ -178,6 +179,8 @@ def shown_board(**other: Any) -> tuple[Board, dict[str, list[tuple[int, float]]]
         "due_us": 250.0,
         "latency": distribution(evaluate_bag(BAG).latency),
         "limit": {"um": 0.4, "source": "limits.yaml"},
+        "rest": StrokeErrors().rest,
+        "gap": 3,
         "faults": [],
         "nodes": {name: node for name in ("driver", "feedforward", "controller", "logger")},
     }

@@ -109,10 +109,14 @@ class StrokeErrors:
 
     Errors belong to movements by their stamps: on a busy computer whole movements come at once, or an error before the
     position of its time. A tenth of a second at either end of a movement may be counted or not.
+
+    Attributes:
+        still: the stage is at rest.
+        rest: way in m and time in s; the stage rests if it has moved by less in that time.
     """
 
     def __init__(self) -> None:
-        self.still = True  # the stage is at rest
+        self.still = True
         self.expect(math.inf, 0.0)
         self._positions: deque[tuple[int, float]] = deque()
         self._errors: deque[tuple[int, float]] = deque(maxlen=_WAITING)
@@ -132,6 +136,7 @@ class StrokeErrors:
         self._look_back_ns = round(seconds * 1e9)
         self._begins = min(_STILL_M, max(way * seconds, least))
         self._ends = self._begins if self._begins == _STILL_M else 0.5 * self._begins
+        self.rest = self._ends, seconds
 
     def add(self, positions: Iterable[tuple[int, float]], errors: Iterable[tuple[int, float]]) -> None:
         """Add positions of the stage and compensation errors, each with its stamp in ns, in m."""

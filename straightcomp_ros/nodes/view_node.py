@@ -10,7 +10,7 @@ from functools import partial
 from rclpy.task import Future
 
 from straightcomp_ros.cell.launcher import RECORDED
-from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, POSITION, REFERENCE
+from straightcomp_ros.contract import CONTROLLER_STATE, DRIVER_STATE, POSITION, POSITION_EVERY, REFERENCE
 from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.runner import Runnable
@@ -22,6 +22,8 @@ from straightcomp_ros.view.page_server import ActionRefused, Board, Series, View
 
 _FETCH_S = 0.05
 SLOT_S = 0.02
+_GAP_SLOTS = 3
+"""Most slots from one value of a curve to the next, where positions do not come less often."""
 _ANSWER_WITHIN_S = 2.0
 _ALONE_S = 5.0
 """Time from which a view that sees no node says so: discovery takes a second or two."""
@@ -117,7 +119,7 @@ class ViewNode(Runnable):
         }
         driver = self._driver.values.get("driver", {})
         if driver:
-            self._graph.expect_strokes(driver["stage.motion.speed"], driver["stage.encoder.x_resolution"])
+            self._graph.strokes.expect(driver["stage.motion.speed"], driver["stage.encoder.x_resolution"])
         named = f"stage “{driver['stage.name']}”, hardware {driver['hardware']}" if driver else ""
         self._board.show(
             {
@@ -125,6 +127,8 @@ class ViewNode(Runnable):
                 "due_us": 1e6 * driver["stage.drive.delay"] / driver["stage.rate"] if driver else None,
                 "latency": self._distribution,
                 "limit": self._limit,
+                "rest": self._graph.strokes.rest,
+                "gap": max(_GAP_SLOTS, 1.5 * POSITION_EVERY / (driver.get("stage.rate", math.inf) * SLOT_S)),
                 "fresh": seen.fresh,
                 "amplifier_on": seen.amplifier_on,
                 "x_mm": seen.x * 1e3,

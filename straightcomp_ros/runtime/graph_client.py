@@ -142,6 +142,7 @@ class GraphClient:
     Attributes:
         commissioning: what another client that commissions the machine is doing.
         safety: the driver's newest safety state.
+        strokes: the error of each movement of the stage.
     """
 
     def __init__(
@@ -175,10 +176,10 @@ class GraphClient:
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 10)
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_subscription(DiagnosticStatus, STAGE_STATE, self._on_stage_state, LATCHED)
-        self._strokes, self._own = StrokeErrors(), dict[str, str]()
+        self.strokes, self._own = StrokeErrors(), dict[str, str]()
         if stage is not None:
             self._own[node.get_name()] = stage.identity
-            self.expect_strokes(stage.motion.speed, stage.encoder.x_resolution)
+            self.strokes.expect(stage.motion.speed, stage.encoder.x_resolution)
         self._newest = Observation()
         self._last_came = math.inf if patient else -math.inf
         self._reports: dict[str, tuple[float, str | None, dict[str, str]]] = {}
@@ -268,15 +269,11 @@ class GraphClient:
         """Count the absence of a first sample as silence from now on."""
         self._last_came = min(self._last_came, time.monotonic())
 
-    def expect_strokes(self, speed: float, count: float) -> None:
-        """Tell the stage's strokes of ``speed`` (m/s) from rest, by readings in counts of ``count`` (m)."""
-        self._strokes.expect(speed, count)
-
     def fetch(self) -> Mapping[Stream, Messages]:
         """Take the messages that have arrived; call it at least ten times a second."""
         fetched: dict[Stream, Messages] = {stream: queue.fetch() for stream, queue in self._queues.items()}
         positions, controller = fetched[POSITION], fetched.get(CONTROLLER_STATE, ())
-        self._strokes.add(
+        self.strokes.add(
             ((stamp_ns, x) for stamp_ns, (x, _), _ in _giving_way(positions)),
             ((stamp_ns, numbers[_ERROR]) for stamp_ns, numbers, _ in _giving_way(controller)),
         )
@@ -322,8 +319,8 @@ class GraphClient:
             amplifier_on=fresh and self.safety.amplifier_on,
             unreferenced=reports.get(_DRIVER, {}).get(UNREFERENCED, ""),
             stage=self.stage if reporting else self.stage._replace(condition=""),
-            still=self._strokes.still,
-            stroke_error_pp=self._strokes.last_pp,
+            still=self.strokes.still,
+            stroke_error_pp=self.strokes.last_pp,
             samples=count(controller, SAMPLES),
             lost_samples=count(controller, LOST),
         )

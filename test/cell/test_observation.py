@@ -51,6 +51,9 @@ def test_slow_strokes_are_seen_as_far_as_the_encoder_shows_them(speed):
         strokes.expect(speed, 1e-7)
         run(strokes, positions[:samples], error)
         assert strokes.still is still and strokes.last_pp == pytest.approx(last_pp, nan_ok=True)
+    # What is left to others who look: beyond the noise, and far less than the stroke's way.
+    way, seconds = strokes.rest
+    assert 2e-7 < way < 0.5 * speed * seconds
 
 
 def test_a_movement_of_which_samples_are_missing_is_one():

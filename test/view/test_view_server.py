@@ -1,17 +1,23 @@
 """The view's server, as an HTTP client finds it, and the series behind it."""
 
 import json
+import re
 import socket
+from collections import defaultdict
 from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection
 from itertools import islice
+from unittest.mock import Mock
 
 import pytest
 from places import REPOSITORY
 
 from straightcomp_ros.analysis.html_page import html_page
 from straightcomp_ros.analysis.style import BLUE, SHEET
+from straightcomp_ros.cell.observation import Observation, StrokeErrors
+from straightcomp_ros.nodes import view_node
 from straightcomp_ros.safety.faults import Fault, explained
+from straightcomp_ros.timing.realtime import RealtimeParameters
 from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer, distribution
 
 MS = 1_000_000
@@ -87,6 +93,21 @@ def test_a_fault_is_shown_with_what_it_means_and_what_to_do_and_the_error_with_i
         found = explained(f"{fault.label}: y = 1 mm")
         assert found["text"].startswith(fault.label) and all(found.values()) and "others" not in found["remedy"]
     assert explained("no map")["remedy"] == ""
+
+
+@pytest.mark.parametrize(("rate", "gap"), [(2000, 3.0), (100, 15.0)])
+def test_the_page_reads_what_the_view_says_of_rest_and_of_the_time_between_positions(server, monkeypatch, rate, gap):
+    strokes, shown = StrokeErrors(), []
+    graph = Mock(strokes=strokes, **{"reports.return_value": {}, "observation.return_value": Observation()})
+    driver = defaultdict(float, {"stage.rate": rate, "stage.motion.speed": 2e-4, "stage.encoder.x_resolution": 1e-7})
+    stand_ins = {"GraphClient": graph, "RemoteParameters": Mock(values={"driver": driver}), "ViewServer": Mock()}
+    for name, stand_in in stand_ins.items():
+        monkeypatch.setattr(view_node, name, Mock(return_value=stand_in))
+    monkeypatch.setattr(view_node, "Board", Mock(return_value=Mock(show=shown.append)))
+    view_node.ViewNode(Mock(), 0, Mock(), RealtimeParameters(), "", None)._show()
+    read = set(re.findall(r"\bstate\.(\w+)", ask(server, "GET", "/")[2].decode()))
+    assert {"rest", "gap"} <= read <= shown[0].keys()
+    assert shown[0]["gap"] == pytest.approx(gap) and shown[0]["rest"] == strokes.rest != StrokeErrors().rest
 
 
 def test_the_distribution_of_latencies_counts_each_once():
