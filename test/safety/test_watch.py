@@ -97,6 +97,11 @@ def test_a_movement_beyond_the_travel_since_the_switch_on_is_a_fault_of_its_samp
     assert fault is Fault.FOLLOWING_ERROR and "moved by 3.2 µm" in words
     found.switched(on=True)
     assert feed(found, 4, 0.0, 8.2e-6) is None
+    # A change holds from the next switch-on.
+    found.travel = 1e-6
+    assert feed(found, 5, 0.0, 10.2e-6) is None
+    found.switched(on=True)
+    assert feed(found, 6, 0.0, 10.2e-6) is None and feed(found, 7, 0.0, 12.2e-6)
     # A platform that is moved by hand, before the first switch-on and after a switch-off.
     found.switched(on=False)
     assert not any(
