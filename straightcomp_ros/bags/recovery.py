@@ -61,6 +61,7 @@ class Recovery:
         unfinished: names of the files that the recording did not finish, or whose end is damaged.
         lost_files: names of the files that are missing, or cannot be read at all.
         not_copied: topics with messages of a further type or encoding, which are not copied: a topic has one.
+        left_out: messages at the beginning that were not to be copied.
         time_range: first and last log time in the new bag, ns since the epoch; None without messages.
     """
 
@@ -71,6 +72,7 @@ class Recovery:
     unfinished: list[str] = field(default_factory=list)
     lost_files: list[str] = field(default_factory=list)
     not_copied: list[str] = field(default_factory=list)
+    left_out: int = 0
     time_range: tuple[int, int] | None = None
 
     def lose(self, name: str, size: int, reason: str) -> None:
@@ -87,11 +89,11 @@ class Recovery:
 
 
 def recover(
-    bag: Path, output: Path, *, since_ns: int = 0, edit: Callable[[str, bytes], bytes] = lambda name, data: data
+    bag: Path, output: Path, *, skip: int = 0, edit: Callable[[str, bytes], bytes] = lambda name, data: data
 ) -> Recovery:
     """Copy all messages, attachments and metadata that are sound in ``bag`` to a new bag ``output`` of one file; the
-    original is only read. ``since_ns`` leaves out messages that were recorded before, ``edit`` changes attachments,
-    given their name and content. Raises BagError when there is no MCAP file, or the new bag cannot be written."""
+    original is only read. The first ``skip`` messages are left out; ``edit`` changes attachments, given their name and
+    content. Raises BagError when there is no MCAP file, or the new bag cannot be written."""
     bag, output = Path(bag), Path(output)
     paths, missing_files = found_files(bag)
     if paths[0].suffix == ".db3":
@@ -114,7 +116,7 @@ def recover(
         with writer:
             for path in readable:
                 with McapInput(path) as file:
-                    _Copy(file, writer, result, since_ns, edit).run()
+                    _Copy(file, writer, result, skip, edit).run()
             for name in missing_files:
                 result.lose(name, 0, "the file is missing")
             missing = "unknown" if result.lost is None else str(sum(result.lost.values()))
@@ -138,11 +140,11 @@ class _Copy:
         file: McapInput,
         writer: BagWriter,
         result: Recovery,
-        since_ns: int,
+        skip: int,
         edit: Callable[[str, bytes], bytes],
     ) -> None:
         self._file, self._writer, self._result = file, writer, result
-        self._since_ns, self._edit = since_ns, edit
+        self._skip, self._edit = skip, edit
         self._saved: Counter[int] = Counter()
         self._topics: dict[int, str | None] = {}
         self._known = Summary()
@@ -238,6 +240,8 @@ class _Copy:
 
     def _add_message(self, record: bytes) -> None:
         _, _, channel_id, _, log_time, publish_time = MESSAGE.unpack_from(record)
+        left_out = self._result.left_out < self._skip
+        self._result.left_out += left_out
         topic = self._topic(channel_id)
         if topic is None:
             return
@@ -245,7 +249,7 @@ class _Copy:
         if not self._saved[channel_id] and (compression := COMPRESSIONS.get(data[:4])):
             raise BagError(f"bag {self._file.path}: topic '{topic}': {compressed_messages(compression)}")
         self._saved[channel_id] += 1
-        if log_time < self._since_ns:
+        if left_out:
             return
         self._writer.write(topic, data, log_time, publish_time)
         self._result.saved[topic] += 1

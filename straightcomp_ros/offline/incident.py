@@ -27,11 +27,13 @@ from straightcomp_ros.analysis.assessment import Assessment, assessed
 from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags.folder import found_beside, found_files
+from straightcomp_ros.bags.folder import BagInput, found_beside, found_files, opened, topic_names
 from straightcomp_ros.bags.information import origin
-from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.mcap_input import HEAD, rows
+from straightcomp_ros.bags.reader import StreamDecoder, attachments_of, read_attachments
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.bags.recovery import recover
+from straightcomp_ros.bags.topics import resolved
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline.audit import audit
@@ -47,9 +49,9 @@ _MOST = 500
 """Files in it."""
 _LOG = 1 << 20
 """Bytes of the end of a log: some ten thousand lines."""
-_FARTHEST, _PERIOD_NS = 10.0, 20_000_000
+_FARTHEST = 10.0
 """What is kept before the last seconds at most, relative to them, so that commands can be computed again from the
-amplifier's switch-on; and time in ns before that, some samples."""
+amplifier's switch-on."""
 _CERTIFICATE = ("certificate.html", "certificate.json")
 _ABOVE = 3
 """Folders above a bag in which its certificate may be: a commission has its bags in `bags/`."""
@@ -180,8 +182,7 @@ def pack(
         contents["versions.json"] = json_text(_versions()).encode()
         files = {f"{BAG}/{one.name}": one.read_bytes() for one in sorted(copy.iterdir())}
         contents |= files
-        if (size := sum(map(len, contents.values()))) > LARGEST:
-            raise IncidentError(f"incident of {bag}: {size} bytes; allowed: {LARGEST}; pack the end of it with --last")
+        _check_size(bag, sum(map(len, contents.values())))
         made = datetime.now(timezone.utc).isoformat(timespec="seconds")
         details = {
             "made": made,
@@ -205,15 +206,19 @@ def pack(
 def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
     """A copy of the bag in the folder ``place``: its own files, or a recovered bag where something is left out."""
     copy = place / BAG
-    paths, missing = found_files(bag)
+    paths, _ = found_files(bag)
     secrets: list[str] = []
+    sound, skip, gone, kept = True, 0, 0.0, 0.0
     try:
-        _without_secrets(PARAMETERS_ATTACHMENT, read_attachments(bag).get(PARAMETERS_ATTACHMENT, b""), secrets)
-        sound = not missing
+        with opened(bag) as files:
+            _without_secrets(PARAMETERS_ATTACHMENT, attachments_of(files).get(PARAMETERS_ATTACHMENT, b""), secrets)
+            if last:
+                skip, gone, kept = _before_the_end(bag, files, last)
     except BagError as error:
         left_out.append(f"what is damaged in the bag: {error}")
         sound = False
     if sound and not secrets and not last and all(_NAME.fullmatch(f"{BAG}/{one.name}") for one in paths):
+        _check_size(bag, sum(one.stat().st_size for one in paths))
         copy.mkdir()
         for one in [*paths, *found_beside(bag, paths)]:
             shutil.copyfile(one, copy / one.name)
@@ -222,33 +227,55 @@ def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
     def edit(name: str, data: bytes) -> bytes:
         return _without_secrets(name, data, left_out) if name == PARAMETERS_ATTACHMENT else data
 
-    whole = recover(bag, copy, edit=edit)
-    left_out += [f"bag: {name} was not finished, what had not reached the disk is lost" for name in whole.unfinished]
-    if whole.time_range is None or not last:
-        return copy
-    first_ns, last_ns = whole.time_range
-    since = _law_start(copy, last_ns - round(last * 1e9), round(_FARTHEST * last * 1e9))
-    if since <= first_ns:
-        return copy
-    kept, gone = ((end - begin) * 1e-9 for begin, end in ((since, last_ns), (first_ns, since)))
-    left_out.append(f"bag: the first {gone:.1f} s; the last {kept:.1f} s are there")
-    (place / "last").mkdir()
-    recover(copy, place / "last" / BAG, since_ns=since)
-    return place / "last" / BAG
+    unfinished = recover(bag, copy, skip=skip, edit=edit).unfinished
+    left_out += [f"bag: {name} was not finished, what had not reached the disk is lost" for name in unfinished]
+    if last and not sound:
+        whole, copy = copy, place / "last" / BAG
+        with opened(whole) as files:
+            skip, gone, kept = _before_the_end(whole, files, last)
+        copy.parent.mkdir()
+        recover(whole, copy, skip=skip)
+    if skip:
+        left_out.append(f"bag: the first {gone:.1f} s; the last {kept:.1f} s are there")
+    return copy
 
 
-def _law_start(bag: Path, since_ns: int, most_ns: int) -> int:
-    """``since_ns``, or when the amplifier was last switched on before that, if it was at most ``most_ns`` earlier: from
-    there on each command can be computed again."""
-    samples = read_streams(bag, {ENCODER.topic: ENCODER.layout}).get(ENCODER.topic)
-    if samples is None:
-        return since_ns
-    on = np.isfinite(samples.columns["coil_current"])
-    starts = samples.log_time[1:][on[1:] & ~on[:-1]]
-    before = starts[starts <= since_ns]
-    # The sample before the switch-on shows that the amplifier was off.
-    start = int(before[-1]) - _PERIOD_NS if before.size else int(samples.log_time[0])
-    return start if start >= since_ns - most_ns else since_ns
+def _check_size(bag: Path, size: int) -> None:
+    if size > LARGEST:
+        raise IncidentError(f"incident of {bag}: {size} bytes; allowed: {LARGEST}; pack the end of it with --last")
+
+
+def _before_the_end(bag: Path, files: Sequence[BagInput], last: float) -> tuple[int, float, float]:
+    """Number of messages before what ``last`` keeps of a bag, and the time in s before and after that place. It begins
+    with the amplifier's last switch-on before the last seconds, if that is not longer ago than :data:`_FARTHEST` times
+    these: from there on each command can be computed again.
+
+    It goes by chunks, since the samples of a day do not fit into memory. Where the clock was set back no time passes.
+    """
+    topic = resolved(ENCODER.topic, topic_names(files), str(bag))
+    time, count, newest_ns, was_on = 0.0, 0, 0, True
+    chunks, starts = [(time, count)], [(time, count)]
+    for data, places in (block for file in files for block in file.blocks([topic] if topic else [])):
+        chunks.append((time, count))
+        if topic in places:
+            decoder = StreamDecoder(f"bag {bag}: topic '{topic}'", ENCODER.layout)
+            decoder.add(data, places[topic])
+            samples = decoder.finished()
+            assert samples
+            on = np.isfinite(samples.columns["coil_current"])
+            if (on & ~np.append(was_on, on[:-1])).any():
+                # The sample before the switch-on shows that the amplifier was off.
+                starts.append(chunks[-2])
+            was_on = on[-1]
+        last_ns = max((int(rows(data, own, HEAD)["log_time"].max()) for own in places.values()), default=newest_ns)
+        time += max(0, last_ns - (newest_ns or last_ns)) * 1e-9
+        newest_ns = last_ns
+        count += sum(map(len, places.values()))
+    begin = max((one for one in chunks if one[0] <= time - last), default=chunks[0])
+    start = max(one for one in starts if one <= begin)
+    if start[0] >= time - (1.0 + _FARTHEST) * last:
+        begin = start
+    return begin[1], begin[0], time - begin[0]
 
 
 def _texts(bag: Path, copy: Path, logs: Path | None, left_out: list[str]) -> Iterator[tuple[str, bytes]]:

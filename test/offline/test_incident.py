@@ -6,16 +6,18 @@ import zipfile
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from bag_of_rows import STORE
 from places import SMC
+from rewritten_bag import rewritten
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as SqliteWriter
 from tiers import nightly
 
-from straightcomp_ros.bags.reader import read_attachments, read_messages
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_streams
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.contract import STREAMS
+from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline import incident
 from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, incident_page, judged, pack, unpack
@@ -108,6 +110,40 @@ def test_a_bag_of_sqlite_is_whole_in_its_incident(in_a_log, tmp_path, alone):
     there, here = (judged(one, {}).assessment for one in (in_a_log, tmp_path / "opened" / "bag"))
     assert there.verdict.in_order and here.verdict == there.verdict
     assert here.evaluation.received_samples == there.evaluation.received_samples > 1000
+
+
+def test_only_the_end_of_a_sound_bag_is_copied_and_nothing_of_one_that_is_too_large(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(incident, "recover", lambda *given, **how: made.append(recover(*given, **how)) or made[-1])
+    pack(SMC, tmp_path / "a.zip", [], last=0.3)
+    (one,) = made
+    assert 0 < one.saved.total() < one.left_out
+    monkeypatch.setattr(incident, "LARGEST", 1000)
+    monkeypatch.setattr(shutil, "copyfile", lambda *_: pytest.fail("it was copied"))
+    with pytest.raises(IncidentError, match="allowed: 1000; pack the end of it with --last"):
+        pack(SMC, tmp_path / "a.zip", [])
+
+
+def test_of_a_damaged_bag_the_end_is_packed_and_the_damage_is_said(tmp_path):
+    (file,) = SMC.glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    data[len(data) // 3 : len(data) // 2] = bytes(len(data) // 2 - len(data) // 3)
+    (tmp_path / "run.mcap").write_bytes(data)
+    found = pack(tmp_path / "run.mcap", tmp_path / "a.zip", [], last=0.3)
+    assert [one.partition(":")[0] for one in found.left_out[:2]] == ["what is damaged in the bag", "bag"]
+
+
+@pytest.mark.parametrize("at", [1.0, 4.0, 4.4])
+def test_the_end_of_a_recording_is_in_its_incident_wherever_the_clock_was_set_back(tmp_path, at):
+    ahead = lambda stamp: 3600 * 10**9 * (stamp < at * 1e9)  # noqa: E731
+    bag = rewritten(SMC, tmp_path / "run", lambda _, stamp, numbers: (stamp, numbers, stamp + ahead(stamp)))
+    pack(bag, tmp_path / "a.zip", [], last=0.3)
+    (tmp_path / "opened").mkdir()
+    unpack(tmp_path / "a.zip", tmp_path / "opened")
+    kept, whole = (
+        read_streams(one, {ENCODER.topic: ENCODER.layout})[ENCODER.topic] for one in (tmp_path / "opened" / "bag", bag)
+    )
+    assert kept.stamp[-1] == whole.stamp[-1] and 0.3e9 <= np.ptp(kept.stamp) < 2e9
 
 
 @pytest.mark.parametrize("last", [0.0, 2.0])
