@@ -61,7 +61,8 @@ class RecorderParameters:
     )
     snapshot: float = parameter(
         0.0,
-        "Length of the recording that stays in memory until the service ~/snapshot writes it; 0 writes all at once",
+        "Length of the recording that stays in memory until the service ~/snapshot or an incident writes it; 0 writes "
+        "all at once",
         "[0, 600] s",
     )
     min_free_bytes: int = parameter(

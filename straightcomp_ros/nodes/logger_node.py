@@ -3,7 +3,7 @@
 import re
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -54,10 +54,17 @@ _IDLE = ("chrt", "--idle", "0")
 
 class FaultIncidents:
     """Watches `safety_state`; keeps the newest ``number`` incidents beside the bag that ``recording`` returns, None
-    while there is none. One at a time: a fault while an incident is packed, or waits for it, is in that one."""
+    while there is none. ``save`` completes that bag first, in as many turns of the timer as it yields. One at a time: a
+    fault while an incident is packed, or waits for it, is in that one."""
 
-    def __init__(self, node: Node, number: int, recording: Callable[[], Path | None]) -> None:
-        self._node, self._number, self._recording = node, number, recording
+    def __init__(
+        self,
+        node: Node,
+        number: int,
+        recording: Callable[[], Path | None],
+        save: Callable[[], Iterable[None]] = tuple,
+    ) -> None:
+        self._node, self._number, self._recording, self._save = node, number, recording, save
         self._due: tuple[float, str] | None = None
         self._seen = ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
@@ -79,6 +86,7 @@ class FaultIncidents:
             fault, self._due = due[1], None
             if bag is None:
                 continue
+            yield from self._save()
             folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
             file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
             words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]
@@ -145,7 +153,8 @@ class LoggerComponent:
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
         if parameters.incidents:
-            FaultIncidents(node, parameters.incidents, lambda: recorder.folder if recorder.recording else None)
+            save = self._save_snapshot if parameters.snapshot else tuple
+            FaultIncidents(node, parameters.incidents, lambda: recorder.folder if recorder.recording else None, save)
         if parameters.record_at_start:
             self._start()
 
@@ -221,6 +230,13 @@ class LoggerComponent:
             return act()
         except BagError as error:
             raise Refused(str(error)) from error
+
+    def _save_snapshot(self) -> Iterator[None]:
+        """Write what is in memory to the bag; each ``yield`` waits for the disk."""
+        self._recorder.intake.snapshot()
+        while self._recorder.intake.queue:
+            yield
+        yield  # for the open chunk, which the recorder writes when it is FLUSH_AGE old
 
     def _start(self) -> str:
         """Record to a new bag."""

@@ -56,6 +56,21 @@ def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(single, pa
     assert "logger" in read_attachments(bag)["parameters.yaml"].decode()
 
 
+def test_an_incident_has_the_seconds_that_the_logger_keeps_in_memory(single, participant, tmp_path):
+    bag, incidents = tmp_path / "bag", tmp_path / "bag_incidents"
+    encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
+    state = participant.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
+    chosen = {"output": str(bag), "snapshot": 10.0, "incidents": 1, "topics": "encoder", "nodes": "logger"}
+    single.start("logger", chosen)
+    participant.until(encoder.get_subscription_count)
+    state.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="tripped"))
+    participant.until(lambda: encoder.publish(sample()) or list(incidents.glob("*.zip")))
+    assert single.stop(["logger"])["logger"] == 0
+    with zipfile.ZipFile(next(incidents.iterdir())) as archive:
+        archive.extractall(tmp_path / "incident", [name for name in archive.namelist() if name.startswith("bag/")])
+    assert len(read_streams(tmp_path / "incident" / "bag", {"encoder": ENCODER.layout})["encoder"]) > 10
+
+
 def test_what_comes_while_the_logger_is_inactive_is_not_lost(single, participant, tmp_path):
     bag, numbers = tmp_path / "bag", itertools.count()
     encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
@@ -189,6 +204,26 @@ def test_an_incident_that_is_not_packed_costs_no_older_one(tmp_path, monkeypatch
     _, work = node.create_timer.call_args[0]
     assert comes_true(lambda: work() or log.warning.called, 120.0)
     assert "was not packed" in log.warning.call_args[0][0] and older.exists()
+
+
+def test_an_incident_is_packed_when_what_was_in_memory_is_in_its_bag(tmp_path, monkeypatch):
+    done = []
+    monkeypatch.setattr(logger_node, "_AFTER_S", 0.0)
+    monkeypatch.setattr(logger_node, "verb_command", lambda *words: done.append("packs") or ("true",))
+
+    def save():
+        for turn in range(3):
+            done.append(turn)
+            yield
+
+    incidents = FaultIncidents(node := Mock(), 1, lambda: tmp_path / "bag", save)
+    _, work = node.create_timer.call_args[0]
+    work()
+    assert not done
+    incidents._on_safety_state(DiagnosticStatus(name="tripped"))
+    for _ in range(4):
+        work()
+    assert done == [0, 1, 2, "packs"]
 
 
 @pytest.mark.parametrize("number", [1, 3, 6])
