@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
 from straightcomp_ros.cell.launcher import SLACK_S, Graph, LaunchError, exit_words, isolated_environment
@@ -63,7 +64,7 @@ def replay_through_graph(
     attachments = read_attachments(bag)
     recorded = parameters_of(bag, attachments, given)
     stamps = streams[ENCODER.topic].stamp if ENCODER.topic in streams else np.zeros(1, np.int64)
-    duration = float(np.ptp(stamps)) * 1e-9
+    duration = float(np.diff(stamps).clip(0, PAUSE * 1e9).sum()) * 1e-9
     new = output / "bag"
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:

@@ -11,7 +11,7 @@ import numpy as np
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.record import SHORTEST_STROKE, StrokeRecord
+from straightcomp_ros.analysis.record import ARRIVED, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
@@ -103,12 +103,17 @@ def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path
 
 def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
     """The recorded motion of the stage, and the time in ns at which its trajectory starts. In a pause of the recording
-    the stage stands for :data:`PAUSE`, however long it was."""
+    the stage stands for :data:`PAUSE`, however long it was; where it went on, as behind a jump of the clock, the pause
+    lasts as long as its way."""
     x = record.x if record.true_x is None else record.true_x
-    steps = np.diff(record.time)
-    skipped = np.where(np.abs(np.diff(x)) < SHORTEST_STROKE, np.maximum(steps - PAUSE, 0.0), 0.0)
+    steps, way = np.diff(record.time), np.abs(np.diff(x))
+    last = len(x) - 1
+    step = min(max(round(_WAYPOINT_EVERY / float(np.median(steps))), 1), last)
+    fastest = np.max(np.abs(x[step:] - x[:-step]) / (record.time[step:] - record.time[:-step]))
+    # From rest to rest the stage is half as fast on average.
+    needed = np.where(way < ARRIVED, PAUSE, 2.0 * way / fastest)
+    skipped = np.where(steps > PAUSE, np.maximum(steps - needed, 0.0), 0.0)
     time = record.time - np.append(0.0, np.cumsum(skipped))
-    step, last = max(round(_WAYPOINT_EVERY / float(np.median(steps))), 1), len(x) - 1
     places = np.unique(np.append(np.arange(0, len(x), step), last))
     before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, last)
     speed = (x[after] - x[before]) / np.maximum(time[after] - time[before], 1e-9)

@@ -7,6 +7,7 @@ from parameters_of_tests import short_parameters
 from participant import Participant, subscribe
 from rclpy.time import Time
 from recorded_run import recorded_run
+from rewritten_bag import rewritten
 from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags.reader import read_streams
@@ -38,17 +39,19 @@ def test_the_nodes_answer_played_samples_as_they_were_recorded_to_the_bit(run, i
     assert found.equal > 0.5 * found.samples
 
 
-def test_the_time_of_the_samples_is_on_the_clock_where_it_is_asked_for(run, single):
-    times = []
+def test_the_time_of_the_samples_is_on_the_clock_and_a_pause_of_the_recording_is_not_waited_out(run, single, tmp_path):
+    times, night = [], 8 * 3600 * 10**9
+    later = lambda at: at + night * (at > 10**9)  # noqa: E731
+    paused = rewritten(run, tmp_path / "paused", lambda _, at, numbers: (later(at), numbers, later(at)))
     with Participant("listener") as listener:
         listener.node.create_subscription(
             Clock, CLOCK, lambda message: times.append(Time.from_msg(message.clock).nanoseconds), stream_qos()
         )
         subscribe(listener.node, ENCODER, lambda stamp_ns, _: None)
-        single.start("player", {"bag": str(run), "subscribers": 1, "clock": True, "speed": 4.0})
-        listener.until(lambda: len(times) >= 20)
+        single.start("player", {"bag": str(paused), "subscribers": 1, "clock": True, "speed": 4.0})
+        listener.until(lambda: len(times) >= 20 and times[-1] > night)
     # The clock may be connected after the first samples, and a busy machine may lose some of its messages.
-    ticks = read_streams(run, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp[::POSITION_EVERY]
+    ticks = read_streams(paused, {ENCODER.topic: ENCODER.layout})[ENCODER.topic].stamp[::POSITION_EVERY]
     assert set(times) <= set(ticks.tolist()) and times == sorted(set(times))
 
 
