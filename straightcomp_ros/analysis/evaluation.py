@@ -4,7 +4,7 @@ import contextlib
 import math
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -201,11 +201,18 @@ def percentile_us(durations: Array, percentile: float) -> float:
     return float(np.percentile(durations, percentile)) * 1e6 if len(durations) else math.nan
 
 
-def _sensor(bag: Path, files: Sequence[BagInput]) -> dict[str, StreamColumns]:
-    """The stream of the displacement sensor, if the bag has it."""
+def _of_one_stage(names: Collection[str], encoder: str) -> set[str]:
+    """Those of a bag's topics that are not in the namespace of another stage, with an encoder of its own."""
+    space, _, own = encoder.rpartition("/")
+    others = {name.rpartition("/")[0] for name in names if name.rpartition("/")[2] == own == ENCODER.topic} - {space}
+    return {name for name in names if name.rpartition("/")[0] not in others}
+
+
+def _sensor(bag: Path, files: Sequence[BagInput], names: Collection[str]) -> dict[str, StreamColumns]:
+    """The stream of the displacement sensor, if it is among the topics ``names``."""
     try:
-        if resolved(DISPLACEMENT.topic, topic_names(files), str(bag)):
-            return streams_of(bag, files, {DISPLACEMENT.topic: DISPLACEMENT.layout})
+        if full := resolved(DISPLACEMENT.topic, names, str(bag)):
+            return streams_of(bag, files, {DISPLACEMENT.topic: DISPLACEMENT.layout}, {DISPLACEMENT.topic: full})
     except BagError as error:
         # The node of a survey is the user's, and may name its joint otherwise: the run can be judged without it.
         warnings.warn(f"the displacement sensor is left out: {error}", stacklevel=3)
@@ -215,18 +222,24 @@ def _sensor(bag: Path, files: Sequence[BagInput]) -> dict[str, StreamColumns]:
 def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvaluation:
     """Read a bag of the graph, a rosbag2 folder or MCAP file, and join its streams by their stamps.
 
-    ``remap`` has the bag's topic for each of ours that has another name there.
+    ``remap`` has the bag's topic for each of ours that has another name there. Of several stages in the bag that of the
+    encoder is taken.
 
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    wanted = (ENCODER, REFERENCE, COMMAND, DRIVER_STATE, TRUTH)
+    needed, theirs = (ENCODER, REFERENCE, COMMAND), dict(remap or {})
     with opened(bag) as files:
         names = topic_names(files)
-        encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), names, str(bag))
+        encoder_topic = resolved(theirs.get(ENCODER.topic, ENCODER.topic), names, str(bag))
+        ours = _of_one_stage(names, encoder_topic or "")
+        for stream in (*needed, DRIVER_STATE, TRUTH):
+            if stream.topic not in theirs and (full := resolved(stream.topic, ours, str(bag))):
+                theirs[stream.topic] = full
+        wanted = [stream for stream in (*needed, DRIVER_STATE, TRUTH) if stream in needed or stream.topic in theirs]
         diagnostics = Messages(topic_of_reports(bag, names, encoder_topic or ENCODER.topic) or DIAGNOSTICS)
-        streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, remap, [diagnostics])
-        streams |= _sensor(bag, files)
+        streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, theirs, [diagnostics])
+        streams |= _sensor(bag, files, ours)
         attachments = attachments_of(files)
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
         changed = {name: value for _, values in noted_changes(files) for name, value in values.items()}
@@ -251,7 +264,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 why = f"parameters.yaml: '{name}' of node '{node}' is {value!r}; allowed: a finite number"
                 raise BagError(f"bag {bag}: {why}; record the bag again")
-    for stream in (ENCODER, REFERENCE, COMMAND):
+    for stream in needed:
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             why = "was the whole graph running, under these names (--remap)?"
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; {why}")

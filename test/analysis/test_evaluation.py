@@ -9,7 +9,7 @@ from bag_of_rows import REPORT, bag_of, bag_of_rows, packed, report
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
-from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
+from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 
 START_NS, PERIOD_NS = 1_700_000_000_000_000_000, 500_000
 COUNT = 40
@@ -135,3 +135,18 @@ def test_faults_are_those_that_nodes_in_the_namespace_of_the_encoder_report(tmp_
     found = evaluate_bag(bag_of(tmp_path / "bag", samples + reports))
     assert [fault.reason for fault in found.faults] == ["by line_3/driver"]
     assert found.reports == read_reports(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(("first", "remap"), [("", {}), ("/a", {ENCODER.topic: "/a/encoder"})])
+@pytest.mark.parametrize("later", [0, 10**12])
+def test_of_two_stages_in_a_bag_that_of_the_encoder_is_judged_by_its_own_streams(tmp_path, first, remap, later):
+    sensor = [(DISPLACEMENT, START_NS + number * PERIOD_NS, (1e-6 * number,)) for number in range(COUNT)]
+    other = [(stream, stamp + later, numbers) for stream, stamp, numbers in [*rows_of(), *sensor]]
+    both = ((first, rows_of(without=(TRUTH, DRIVER_STATE))), ("/b", other))
+    bag = bag_of(tmp_path / "bag", [(f"{name}{topic}", *one) for name, rows in both for topic, *one in packed(rows)])
+    found = evaluate_bag(bag, remap)
+    assert (found.begin_ns, len(found.record.x)) == (START_NS + 10 * PERIOD_NS, 30)
+    assert (found.record.true_x, found.guide, len(found.latency)) == (None, None, 0)
+    found = evaluate_bag(bag, {ENCODER.topic: "/b/encoder"})
+    assert (found.begin_ns, len(found.record.true_x)) == (START_NS + 10 * PERIOD_NS + later, 30)
+    assert found.guide is not None and len(found.latency) == COUNT // 2
