@@ -23,13 +23,19 @@ class Crossfade:
         i = (1 − w) i_old + w i_new,   |Δi| ≤ (1 − w) |Δi_old| + w |Δi_new| + |i_new − i_old| / n
 
     The command changes by no more than the laws' own steps and 1/n of their difference, which is at most twice the
-    limit of the current. The old law may be a crossfade itself; the new one starts at the next sample, at rest.
+    limit of the current. The old law may be a crossfade itself until that is over; the new one starts at the next
+    sample, at rest.
     ``finished`` is called at the last of the ``samples`` n.
     """
 
     def __init__(self, old: Law | Crossfade, new: Law, samples: int, finished: Callable[[Crossfade], None]) -> None:
         self._old, self.new, self._samples, self._finished = old, new, samples, finished
         self._done = 0
+
+    @property
+    def over(self) -> bool:
+        """Whether the new law acts alone."""
+        return self._done >= self._samples
 
     def reset(self, y: float) -> None:
         """Start the new law at rest at ``y`` (m), and end the fade."""
@@ -45,10 +51,12 @@ class Crossfade:
         if not self._done:
             self.new.reset(y)
         self._done += 1
-        # A fade that another change replaces is stepped beyond its own end.
-        weight = min(1.0, self._done / self._samples)
+        weight = self._done / self._samples
+        if isinstance(self._old, Crossfade) and self._old.over:
+            # Otherwise a law that changes more often than a fade takes would cost ever more time.
+            self._old = self._old.new
         before, after = self._old.step(y, *others), self.new.step(y, *others)
-        if self._done >= self._samples:
+        if self.over:
             self._finished(self)
         return after._replace(current=before.current + weight * (after.current - before.current))
 

@@ -202,6 +202,28 @@ def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_end
     assert currents == sorted(currents) and max(steps_of(currents)) <= 0.2 / 10 + 1e-12
 
 
+def test_laws_that_change_faster_than_they_fade_cost_no_more_time_the_more_there_were():
+    class Counted:
+        steps = 0
+
+        def reset(self, y):
+            pass
+
+        def step(self, *_):
+            Counted.steps += 1
+            return AMPLIFIER_OFF
+
+    loop, most = Servo(Counted()), 0
+    for k in range(100 * FADE // 2):
+        if k % (FADE // 2) == 1:
+            loop.change(Counted(), FADE)
+        Counted.steps = 0
+        loop.step(k * T, 0.0, 0.0, REST)
+        most = max(most, Counted.steps)
+    # Of two fades, and of one that ends at this sample.
+    assert most <= 4
+
+
 def test_a_fade_ends_where_the_law_starts_anew():
     loop, new = Servo(steady(0.0)), steady(0.1)
     loop.step(0, 0.0, 0.0, REST)
