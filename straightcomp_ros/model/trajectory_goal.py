@@ -120,10 +120,10 @@ class TrajectoryGoal:
             return None
         if self.canceled:
             return Outcome("canceled", SUCCESSFUL, f"canceled: {where}")
+        if motion.ended and abs(desired - self._end) > min(self._tolerances.goal, Tolerances.goal):
+            return Outcome("abort", INVALID_GOAL, f"the motion was ended on its way: {where}")
         if abs(x - self._end) <= self._tolerances.goal:
             return Outcome("succeed", SUCCESSFUL, where)
-        if abs(desired - self._end) > self._tolerances.goal:
-            return Outcome("abort", INVALID_GOAL, f"the motion was ended on its way: {where}")
         self._over_ns = self._over_ns or now_ns
         if now_ns - self._over_ns <= self._tolerances.time * 1e9:
             return None

@@ -1,6 +1,7 @@
 """A motion that is held, slowed down, let go on and ended, within the stage's limits and on its trajectory; and goals
 of FollowJointTrajectory: accepted or refused in a sentence, watched while the stage moves, and ended."""
 
+import math
 import random
 from types import SimpleNamespace
 
@@ -240,9 +241,10 @@ def test_a_canceled_goal_ends_when_the_stage_stands_short_of_its_end():
         ({"shift": lambda at_ns: 2e-3, "tolerances": Tolerances(path=1e-3)}, -4, "2.000 mm from its trajectory"),
         ({"shift": lambda at_ns: 1e-4, "tolerances": Tolerances(time=0.2)}, -5, "+100.0 µm from its goal"),
         ({"paces": {10 * STEP_NS: Pace(end=True)}}, -1, "ended on its way"),
+        ({"paces": {10 * STEP_NS: Pace(end=True)}, "tolerances": Tolerances(goal=math.inf)}, -1, "ended on its way"),
         ({"fault": lambda at_ns: "tripped: door" if at_ns > 10**8 else ""}, -1, "tripped: door"),
     ],
-    ids=["path", "goal", "ended", "fault"],
+    ids=["path", "goal", "ended", "ended, any goal", "fault"],
 )
 def test_what_goes_wrong_aborts_a_goal_with_its_code_and_a_sentence(options, code, words):
     outcome, _, _ = followed(**options)
