@@ -107,7 +107,8 @@ class ParameterChanges:
             if changed and self.prepare is not None:
                 self._refuse_fixed(changed)
                 self._take_over = self.prepare(parameters)
-        except REFUSALS as error:
+        # A law that cannot be made is a ValueError.
+        except (*REFUSALS, ValueError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -95,6 +95,11 @@ def test_parameters_change_as_a_whole_or_not_at_all_while_the_loop_runs(loop):
         ("controller", {"control.law": "linear", "control.smc.rho": -1.0}, "control.smc.rho"),
         ("controller", {"control.law": "linear", "stage.rate": 100}, "'stage.rate' is fixed"),
         ("controller", {"control.law": "smc", "control.smc.boundary_layer": 5e-4}, "the law 'smc' is unstable"),
+        (
+            "controller",
+            {"control.law": "smc", "control.smc.boundary_layer": 0.0, "control.filters.mains.frequency": 50.0},
+            "no linearisation at rest",
+        ),
         ("feedforward", {"stage.guide.file": "nowhere.csv"}, "nowhere.csv"),
     ):
         refused = loop.set(node, values)
