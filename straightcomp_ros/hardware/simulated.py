@@ -26,6 +26,8 @@ from straightcomp_ros.straightness.feedforward import follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 
 _AT_INDEX_NS = 10_000_000
+_INDEX_M = 1e-9
+"""So near a stage that rests at the index is to it, but for rounding."""
 _HOMING = "it is being homed"
 _HOMING_ENDED = "homing ended before the index; call home again"
 
@@ -203,7 +205,7 @@ class SimulatedHardware(Hardware):
                 self._effective_ns[:left] = self._effective_ns[taken:count]
                 self._asked[:left] = self._asked[taken:count]
         if self.unreferenced == _HOMING:
-            if x == self._index:
+            if abs(x - self._index) <= _INDEX_M:
                 self.zero, self.unreferenced = self._parameters.index_shift, ""
             elif self.motion.over:
                 self.unreferenced = _HOMING_ENDED

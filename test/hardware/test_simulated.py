@@ -187,6 +187,17 @@ def test_homing_finds_the_index_where_it_is_now_and_ends_at_the_start_of_the_str
         hardware.home(START + 4000 * PERIOD)
 
 
+@pytest.mark.parametrize("rate", [100, 500])
+def test_homing_finds_the_index_wherever_the_samples_fall(rate):
+    stage = dataclasses.replace(STAGE, rate=rate)
+    for k in range(40):
+        hardware = SimulatedHardware(SimulatedParameters(referenced=False, index=0.05), stage, GUIDE, x=0.1 + 1e-4 * k)
+        hardware.start(START)
+        hardware.home(START)
+        hardware.read(START + 4 * 10**9)
+        assert not hardware.unreferenced
+
+
 @pytest.mark.parametrize("replaced", [False, True], ids=["ended", "replaced"])
 def test_homing_that_ends_before_the_index_says_so_until_it_is_repeated(replaced):
     parameters = SimulatedParameters(referenced=False, index=0.05)
