@@ -137,6 +137,11 @@ class Hardware(ABC):
         return ""
 
     @property
+    def stage_refusal(self) -> str:
+        """Why the stage takes no commands; empty if it does."""
+        return ""
+
+    @property
     def link_problem(self) -> str:
         """Why the machine cannot be reached; empty if it can, or nothing tells."""
         return ""

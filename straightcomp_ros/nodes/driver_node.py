@@ -221,6 +221,8 @@ class DriverComponent:
 
     def _on_home(self) -> str:
         """Reference x: a simulated stage goes to its index mark and to the start of its strokes; amplifier off."""
+        if self._lockstep:
+            raise HardwareError("in lockstep no time passes for homing")
         self._hardware.home(now_ns())
         return "x is being referenced"
 
@@ -356,12 +358,18 @@ class DriverComponent:
 
     def _begin(self, trajectory: Trajectory) -> None:
         """Begin a motion of the stage now; ValueError or HardwareError if it is refused."""
+        if refusal := self._hardware.stage_refusal:
+            # Before the trajectory is joined, which may take longer than a board waits for a command.
+            raise HardwareError(refusal)
         motion, start_ns = self._hardware.motion, now_ns()
-        if self._started and self._newest is not None:
-            # As a simulated machine does; looking farther ahead would move the stage before that sample.
-            start_ns = min(start_ns, self._newest.stamp_ns + self._period_ns)
+        next_ns = self._newest.stamp_ns + self._period_ns if self._newest is not None else start_ns
         if self._lockstep:
             self._lockstep.check_free()
+            # The time of its samples may be ahead of the clock, and does not go back.
+            start_ns = max(start_ns, next_ns)
+        elif self._started:
+            # As a simulated machine does; looking farther ahead would move the stage before that sample.
+            start_ns = min(start_ns, next_ns)
         motion.position(start_ns)
         if motion.moving and not self._blend:
             raise ValueError(_MOVES)

@@ -1,12 +1,15 @@
-"""Why a driver does not switch on: its machine sends no samples, or no controller answers them; and what it watches of
-samples with the amplifier on and off."""
+"""Why a driver does not switch on: its machine sends no samples, or no controller answers them; what it watches of
+samples with the amplifier on and off; which motions it takes."""
 
 import math
+from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from participant import spun
 
-from straightcomp_ros.hardware.interface import Sample
+from straightcomp_ros.hardware.interface import HardwareError, Sample
+from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.nodes import driver_node
 from straightcomp_ros.nodes.driver_node import DriverComponent
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -16,19 +19,35 @@ from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import Fault
 
 
-@pytest.fixture
-def driver(participant, tmp_path, request):
-    """The component of an active driver, whose cycles the test plays, with a board on a hub that does not run."""
-    given = {"hardware": "can", "can.interface": "straightcomp_hub", "can.channel": str(tmp_path / "bus")}
-    further = getattr(request, "param", {"can.command_timeout": 1.0})
-    parameters = from_mapping(DriverNodeParameters, {**given, **further})
+def on_a_hub(tmp_path):
+    """Parameters of a driver with a board on a hub that does not run."""
+    return {"hardware": "can", "can.interface": "straightcomp_hub", "can.channel": str(tmp_path / "bus")}
+
+
+@contextmanager
+def active(given):
+    """The component of an active driver, whose cycles the test plays."""
     node = ManagedNode("driver", DriverNodeParameters, DriverComponent)
-    component = DriverComponent(node, parameters)
+    component = DriverComponent(node, from_mapping(DriverNodeParameters, given))
     node.active = True
     with spun(node):
         yield component
         component.close()
         node.streams.close()
+
+
+@pytest.fixture
+def driver(participant, tmp_path, request):
+    """That of :func:`active` with a board on a hub that does not run."""
+    with active({**on_a_hub(tmp_path), **getattr(request, "param", {"can.command_timeout": 1.0})}) as component:
+        yield component
+
+
+@pytest.fixture
+def in_its_own_time(participant):
+    """That of :func:`active`, in lockstep."""
+    with active({"lockstep": True}) as component:
+        yield component
 
 
 def test_a_driver_without_samples_names_the_machine_and_its_link_and_with_samples_the_controller(participant, driver):
@@ -118,3 +137,28 @@ def test_a_request_for_what_is_already_so_changes_nothing_of_what_is_watched(dri
         assert driver._sample_watch.check(sample, 0.0) is None
         again()
     assert driver._sample_watch.check(samples[2], 0.0)[0] is Fault.FOLLOWING_ERROR
+
+
+def test_a_real_stage_takes_no_motion_and_nothing_of_it_is_computed_before_it_is_refused(driver, monkeypatch):
+    monkeypatch.setattr(driver._hardware.motion, "joined", lambda *_: pytest.fail("a board would wait for it"))
+    with pytest.raises(HardwareError, match=r"takes no orders over CAN; 'can\.simulated_stage'"):
+        driver._begin(Trajectory([Waypoint(10**9, 0.01, 0.0)]))
+
+
+def test_in_lockstep_a_motion_begins_where_and_when_the_last_one_ended_and_there_is_no_homing(
+    participant, in_its_own_time
+):
+    driver, samples = in_its_own_time, []
+
+    def moved(goal):
+        driver._begin(Trajectory([Waypoint(10**9, goal, 0.0)]))
+        while driver._lockstep._pending:
+            samples.append(driver._newest)
+            driver._lockstep.answer(driver._newest.stamp_ns, 0.0)
+
+    for goal in (0.01, 0.0, 0.01):
+        moved(goal)
+    stamps, x, *_ = np.array(samples).T
+    assert np.diff(stamps).min() > 0 and np.abs(np.diff(x)).max() < 2e-5 and x.max() == pytest.approx(0.01, abs=1e-6)
+    answer = participant.trigger("driver/home")
+    assert not answer.success and "no time passes" in answer.message

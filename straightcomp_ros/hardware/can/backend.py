@@ -154,7 +154,7 @@ class CanHardware(Hardware):
     def _frames_for_stage(self) -> EmulatorFrames:
         emulator = self._receiver.emulator
         if emulator is None:
-            raise HardwareError("the stage takes no orders over CAN; 'can.simulated_stage' is for the emulator's")
+            raise HardwareError(self.stage_refusal)
         return emulator
 
     def _send_to_stage(self, frames: Iterable[tuple[int, bytes]]) -> None:
@@ -188,6 +188,11 @@ class CanHardware(Hardware):
             turn_mm = self._wire.sample.x_modulus * 1e3
             return f"x repeats itself every {turn_mm:g} mm, and more than one such turn is on the travel"
         return ""
+
+    @property
+    def stage_refusal(self) -> str:
+        simulated = self._receiver.emulator is not None
+        return "" if simulated else "the stage takes no orders over CAN; 'can.simulated_stage' is for the emulator's"
 
     @property
     def _no_word(self) -> str:
