@@ -70,6 +70,13 @@ class SimulatedParameters:
         )
 
 
+def switched_on_at(stage: StageParameters, guide: StraightnessMap) -> float:
+    """Where a simulated stage stands when it is switched on, m: at zero, or if neither the guide nor its run-out is
+    there, where its strokes start."""
+    (first, last), runout = guide.span, stage.guide.runout
+    return 0.0 if first - runout <= 0.0 <= last + runout else stage.motion.start
+
+
 class SimulatedHardware(Hardware):
     """Plant and stage in simulated time, integrated up to the caller's time.
 
@@ -77,7 +84,7 @@ class SimulatedHardware(Hardware):
         parameters: of the board, and how the machine differs from its description.
         stage: the description.
         guide: the true deviation δ(x).
-        x: position of the stage at the start, m.
+        x: position of the stage at the start, m; by default :func:`switched_on_at`.
 
     Raises:
         ParameterError: the true air gap does not hold the mechanical stop.
@@ -89,8 +96,9 @@ class SimulatedHardware(Hardware):
     unreferenced = ""
 
     def __init__(
-        self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap, x: float = 0.0
+        self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap, x: float | None = None
     ) -> None:
+        x = switched_on_at(stage, guide) if x is None else x
         plant = true_plant(stage, parameters.truth)
         self.period_ns = stage.period_ns
         self.command_timeout_ns = round(parameters.command_timeout * 1e9)

@@ -23,7 +23,7 @@ from straightcomp_ros.contract import (
 )
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.interface import SILENT_SAMPLES, Hardware, HardwareError, Sample, State, Truth
-from straightcomp_ros.hardware.simulated import SimulatedHardware
+from straightcomp_ros.hardware.simulated import SimulatedHardware, switched_on_at
 from straightcomp_ros.model.motion import StageLimits, Trajectory
 from straightcomp_ros.model.paced_motion import Pace, StageState
 from straightcomp_ros.model.trajectory_goal import Tolerances, TrajectoryGoal
@@ -416,9 +416,10 @@ def make_hardware(parameters: DriverNodeParameters) -> Hardware:
     """The machine that the parameters name; SurveyError if the simulated machine's guide cannot be used, ParameterError
     if python-can knows no such interface."""
     if parameters.hardware == "can":
-        return CanHardware(parameters.can, parameters.stage, now_ns)
+        x = switched_on_at(parameters.stage, parameters.guide()) if parameters.can.simulated_stage else 0.0
+        return CanHardware(parameters.can, parameters.stage, now_ns, x=x)
     # In lockstep there is no sample before the motion, by which a client would see that the stage stands elsewhere.
-    x = parameters.stage.motion.start if parameters.lockstep else 0.0
+    x = parameters.stage.motion.start if parameters.lockstep else None
     return SimulatedHardware(parameters.simulated, parameters.stage, parameters.guide(), x)
 
 

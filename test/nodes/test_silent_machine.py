@@ -1,5 +1,5 @@
 """Why a driver does not switch on: its machine sends no samples, or no controller answers them; what it watches of
-samples with the amplifier on and off; which motions it takes."""
+samples with the amplifier on and off; where its stage stands, and which motions it takes."""
 
 import math
 from contextlib import contextmanager
@@ -7,16 +7,19 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from participant import spun
+from surveys import one_run
 
+from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.interface import HardwareError, Sample
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.nodes import driver_node
-from straightcomp_ros.nodes.driver_node import DriverComponent
+from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.straightness.survey import write_survey
 
 
 def on_a_hub(tmp_path):
@@ -162,3 +165,24 @@ def test_in_lockstep_a_motion_begins_where_and_when_the_last_one_ended_and_there
     assert np.diff(stamps).min() > 0 and np.abs(np.diff(x)).max() < 2e-5 and x.max() == pytest.approx(0.01, abs=1e-6)
     answer = participant.trigger("driver/home")
     assert not answer.success and "no time passes" in answer.message
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "start", "x"),
+    [(0.1, 0.7, 0.2, 0.2), (-0.7, -0.1, -0.7, -0.7), (0.015, 0.6, 0.1, 0.0), (-0.3, 0.3, -0.3, 0.0)],
+)
+def test_a_simulated_stage_stands_on_its_guide_and_at_zero_if_that_is_there(tmp_path, first, last, start, x):
+    file = tmp_path / "survey.csv"
+    places = np.linspace(first, last, 100)
+    write_survey(file, one_run(places, 1e-6 * np.sin(10.0 * places)))
+    given = {"stage.guide.file": str(file), "stage.motion.start": start, "stage.motion.stroke": 0.1}
+    board = {**on_a_hub(tmp_path), "can.simulated_stage": True}
+    parameters = [from_mapping(DriverNodeParameters, {**given, **machine}) for machine in ({}, board)]
+    machines = [make_hardware(one) for one in parameters]
+    on_the_bus = parameters[1]
+    emulated = on_the_bus.can, on_the_bus.simulated, on_the_bus.stage, on_the_bus.guide()
+    machines.append(Board(*emulated, lambda *_: None).machine)
+    assert [machine.motion.position(0) for machine in machines] == [x, x, x]
+    for machine in machines:
+        machine.close()
+    assert make_hardware(from_mapping(DriverNodeParameters, {**given, "lockstep": True})).motion.position(0) == start

@@ -39,7 +39,7 @@ class CanHardware(Hardware):
     the amplifier is enabled again.
 
     ``clock`` is the host's time in ns, as passed to :meth:`read`; ``make_link`` opens the bus and raises as
-    :class:`~straightcomp_ros.hardware.can.link.Link` does.
+    :class:`~straightcomp_ros.hardware.can.link.Link` does; ``x`` is where an emulator's stage stands at first, m.
     """
 
     fault: Finding | None = None
@@ -52,10 +52,11 @@ class CanHardware(Hardware):
         stage: StageParameters,
         clock: Callable[[], int],
         make_link: Callable[..., Link] = Link,
+        x: float = 0.0,
     ) -> None:
         self._parameters = parameters
         self._clock = clock
-        self._stage, self._rate, self.motion = stage.motion, stage.rate, PacedMotion(stage.motion)
+        self._stage, self._rate, self.motion = stage.motion, stage.rate, PacedMotion(stage.motion, x)
         self._receiver = Receiver(parameters, stage)
         self._wire = self._receiver.wire
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
