@@ -211,20 +211,28 @@ def test_a_sqlite_bag_is_refused_until_its_recorder_has_described_it_at_last(tmp
     assert added(store, f"memory://run/{file.name}").added == 1
 
 
-def test_a_split_bag_is_refused_until_its_last_file_the_metadata_has_been_copied(tmp_path):
+@pytest.mark.parametrize("there", [1, 2])
+def test_a_split_bag_is_refused_until_its_last_file_the_metadata_has_been_copied(tmp_path, there):
     """The files that are there may be whole, but not all."""
     whole, bag, store = tmp_path / "whole", tmp_path / "run", tmp_path / "store"
     write_bag(whole, 0, max_duration=2.0)
-    first, second, *others = sorted(whole.glob("*.mcap"))
+    files = sorted(whole.glob("*.mcap"))
     bag.mkdir()
-    for file in (first, second):
+    for file in files[:there]:
         shutil.copy(file, bag)
-    assert others and added(store, bag).refused == 1
+    assert len(files) > there and added(store, bag).refused == 1
     reason = Store(str(store)).query("SELECT reason FROM refused").to_pylist()[0]["reason"]
     assert "was not finished" in reason and "ros2 bag reindex" in reason
-    for file in (*others, whole / "metadata.yaml"):
+    for file in (*files[there:], whole / "metadata.yaml"):
         shutil.copy(file, bag)
     assert added(store, bag).added == 1 and [row["stroke"] for row in strokes_of(store)] == [1, 2]
+
+
+@pytest.mark.parametrize(("name", "named"), [("run.mcap", ""), ("run_0.mcap", "run_0.mcap")])
+def test_an_mcap_file_without_a_number_or_that_is_named_itself_needs_no_metadata(tmp_path, name, named):
+    (tmp_path / "run").mkdir()
+    shutil.copy(SMC / "smc_0.mcap", tmp_path / "run" / name)
+    assert added(tmp_path / "store", tmp_path / "run" / named).added == 1
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from pathlib import Path
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import BagError, noting_warnings
-from straightcomp_ros.bags.folder import found_files
+from straightcomp_ros.bags.folder import found_files, split_number
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
@@ -100,7 +100,7 @@ def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[
             try:
                 files, _ = found_files(bag)
                 row = replace(row, checksum=checksum_of(block for file in files for block in _blocks(file)))
-                _check_finished(files)
+                _check_finished(bag, files)
                 evaluation = evaluate_bag(bag, remap)
                 stage, facts = recorded_facts(bag, str(row.checksum), evaluation)
                 strokes = rows_of(evaluation, facts, date_of_zero(bag, evaluation.begin_ns))
@@ -119,7 +119,7 @@ def evaluated(place: BagPlace, remap: Mapping[str, str] | None = None) -> tuple[
         return replace(row, checksum=None, reason=f"cannot be read: {error.strerror or error}"), None
 
 
-def _check_finished(files: Sequence[Path]) -> None:
+def _check_finished(bag: Path, files: Sequence[Path]) -> None:
     """Raise BagError for a bag that is being written or copied, or was cut off: its last stroke may be half a stroke,
     or more may follow."""
     for file in files:
@@ -131,10 +131,13 @@ def _check_finished(files: Sequence[Path]) -> None:
                         "recover`, and add that"
                     )
     of_one_mcap = len(files) == 1 and files[0].suffix == ".mcap"
-    if not (of_one_mcap or files[0].with_name("metadata.yaml").exists()):
+    # A numbered file in a folder may be the first of several that are being copied.
+    alone = of_one_mcap and (bag.is_file() or split_number(files[0])[1] < 0)
+    if not (alone or files[0].with_name("metadata.yaml").exists()):
+        rest = ", or add what `straightcomp recover` saves" if files[0].suffix == ".mcap" else ""
         raise BagError(
             f"bag {files[0]} was not finished: it has no metadata.yaml; when all its files are there, make it with "
-            "`ros2 bag reindex`, and add its folder"
+            f"`ros2 bag reindex`, and add its folder{rest}"
         )
 
 
