@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -49,7 +49,12 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
         ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
         OtherNamespaceError: it has sections for other namespaces only.
     """
-    return _values_of(path, _sections_of(path), namespace)
+    return read_parameter_files([path], namespace)
+
+
+def read_parameter_files(paths: Sequence[str | Path], namespace: str = "") -> dict[str, dict[str, Any]]:
+    """As :func:`read_parameter_file`, of several files as rcl joins them."""
+    return _values_of(paths[-1], [section for path in paths for section in _sections_of(path)], namespace)
 
 
 def _sections_of(path: str | Path) -> list[tuple[str, dict[str, Any]]]:

@@ -4,6 +4,7 @@ import os
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
@@ -29,6 +30,7 @@ from straightcomp_ros.parameters.parameter_file import (
     OtherNamespaceError,
     files_beside,
     read_parameter_file,
+    read_parameter_files,
 )
 from straightcomp_ros.parameters.share import PACKAGE
 from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml
@@ -156,19 +158,24 @@ def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[
         LaunchConfiguration(name).perform(context) for name in ("params_file", "stage", "namespace")
     )
     given: dict[str, object] = {}
+    read: dict[str, dict[str, dict[str, Any]]] = {}
     for path in filter(None, (file, stage)):
         try:
-            values = read_parameter_file(path, namespace)
+            read[path] = read_parameter_file(path, namespace)
         except OtherNamespaceError:
             raise  # The node would pass over such a file.
         except ParameterError:
             continue  # The node refuses it, and says why.
-        if path == (stage or file):
-            found = files_beside(path, values)
-            described = {f"{STAGE}.{name}": named for name, named in found.get(STAGE, {}).items()}
-            # A file of the node's own takes precedence, wherever it is.
-            given = {name: named for name, named in described.items() if name not in values[node]}
-            given |= found.get(node, {})
+    if values := read.get(stage or file):
+        # What the other file's sections leave of it: a node's section that joins one there loses against a later `/**`.
+        taken = read_parameter_files(list(read), namespace)
+        found = {
+            of: {name: full for name, full in names.items() if taken[of].get(name) == values[of][name]}
+            for of, names in files_beside(stage or file, values).items()
+        }
+        described = {f"{STAGE}.{name}": full for name, full in found.get(STAGE, {}).items()}
+        # A file of the node's own takes precedence, wherever it is.
+        given = {name: full for name, full in described.items() if name not in taken[node]} | found.get(node, {})
     for argument in overrides:
         if value := LaunchConfiguration(argument).perform(context):
             parameter, kind, _ = OVERRIDES[argument]

@@ -257,6 +257,31 @@ def taken(node, files):
     return {name: value for given in matching for name, value in given.items()}
 
 
+@pytest.mark.parametrize(
+    ("own", "key", "expected"),
+    [
+        # The shipped file has that section, before the `/**` of the stage file.
+        ("", "/**/feedforward", "guide.csv"),
+        ("", "/feedforward", "own.csv"),
+        ("/**: {ros__parameters: {stage.rate: 500}}, /feedforward: {SURVEY}", "/driver", "other.csv"),
+        ("/feedforward: {SURVEY}, /**: {ros__parameters: {stage.rate: 500}}", "/driver", "guide.csv"),
+    ],
+)
+def test_of_several_surveys_of_both_files_a_node_is_given_that_which_it_takes(stage, own, key, expected):
+    for name in ("own.csv", "other.csv"):
+        stage.with_name(name).touch()
+    stage.write_text(f"{{{stage.read_text()}, {key}: {{ros__parameters: {{stage.guide.file: own.csv}}}}}}")
+    params_file = stage.with_name("own.yaml")
+    params_file.write_text(f"{{{own.replace('SURVEY', 'ros__parameters: {stage.guide.file: other.csv}')}}}")
+    file = str(params_file) if own else SHIPPED
+    nodes = of_kind("Node", CELL, params_file=file, stage=str(stage))
+    parameters = nodes[named(nodes).index("feedforward")].kwargs["parameters"]
+    assert taken("/feedforward", [file, str(stage)])["stage.guide.file"] == expected
+    # A survey of the parameter file is not looked for in the stage file's folder.
+    given = [one["stage.guide.file"].args for one in parameters if isinstance(one, dict)]
+    assert given == [(str(stage.with_name(expected)),)] * (expected != "other.csv")
+
+
 @pytest.mark.parametrize("params_file", [SHIPPED, "own.yaml"])
 @pytest.mark.parametrize("namespace", ["", "left"])
 def test_a_composed_cell_takes_its_overrides_after_all_sections_of_the_files(stage, namespace, params_file):
