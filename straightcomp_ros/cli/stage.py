@@ -4,7 +4,7 @@ import argparse
 import itertools
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -72,7 +72,6 @@ def _new(options: argparse.Namespace) -> None:
     default of all others. The strokes are those of the survey. What is not known well says so in
     `stage.uncertainty`."""
     file, survey = options.folder / FILE, options.folder / SURVEY
-    declared = {one.name: one for one in declarations(StageParameters)}
     given = _given(options.set)
     guide = from_mapping(StageParameters, given).guide
     source = find_survey(options.survey or guide.file)
@@ -81,25 +80,20 @@ def _new(options: argparse.Namespace) -> None:
             raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
     x = [run.x for run in read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
-    # Only now: a survey that is refused leaves no empty folder.
+    made = not options.folder.exists()
+    # Before the questions: no answers are lost where it cannot be made.
     folder = output_folder("DIR", str(options.folder))
     found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
-    asks = sys.stdin.isatty() and not options.yes
-    names = [name for name in _ASKED.split() if asks and name not in given]
-    while True:
-        answers = {name: _asked(declared[name]) for name in names}
-        given = {name: value for name, value in {**given, **answers}.items() if value is not None}
-        values = {**found, **given, "guide.file": SURVEY}
-        try:
-            # Refused before anything is written.
-            from_mapping(StageParameters, values)
-            break
-        except RefusedParameter as error:
-            if not asks:
-                raise
-            # What does not fit the other answers is asked for alone, so that those are kept.
-            print(f"  {error}")
-            names = [error.group + error.name]
+    try:
+        # What survey, folder and --set give is refused before anything is asked.
+        from_mapping(StageParameters, {**found, **given})
+        if sys.stdin.isatty() and not options.yes:
+            given = _answered(found, given)
+    except BaseException:
+        if made:
+            folder.rmdir()
+        raise
+    values = {**found, **given, "guide.file": SURVEY}
     if not (survey.exists() and survey.samefile(source)):
         write_whole(survey, source.read_bytes())
     described = {f"{STAGE}.{name}": value for name, value in values.items()}
@@ -114,6 +108,24 @@ def _new(options: argparse.Namespace) -> None:
 def _given(assignments: Iterable[str]) -> dict[str, Any]:
     """Facts by name from NAME=VALUE, with or without ``stage.`` before it."""
     return settings([f"{STAGE}.{one.removeprefix(f'{STAGE}.')}" for one in assignments]).get(STAGE, {})
+
+
+def _answered(found: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """``given`` with the answers to the questions on the terminal. Of answers that do not fit each other all that the
+    refusal names are asked for again: any of them may be the wrong one."""
+    declared = {one.name: one for one in declarations(StageParameters)}
+    names, given = [name for name in _ASKED.split() if name not in given], dict(given)
+    while True:
+        for name in names:
+            present = {**found, **given}.get(name, declared[name].default)
+            answer = _asked(replace(declared[name], default=present))
+            given |= {} if answer is None else {name: answer}
+        try:
+            from_mapping(StageParameters, {**found, **given})
+            return given
+        except RefusedParameter as error:
+            print(f"  {error}")
+            names = [name for name in declared if f"'{name}'" in str(error)]
 
 
 def _asked(declaration: Declaration) -> Any:

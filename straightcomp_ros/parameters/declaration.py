@@ -35,7 +35,7 @@ class RefusedParameter(ParameterError):
 
     def __init__(self, name: str, text: str, group: str = "") -> None:
         super().__init__(f"parameter '{group}{name}': {text.replace(_GROUP, group)}")
-        self.name, self.text, self.group = name, text, group
+        self.name, self.text = name, text
 
 
 @dataclasses.dataclass(frozen=True)

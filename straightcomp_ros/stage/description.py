@@ -120,7 +120,9 @@ class StageParameters:
             raise RefusedParameter(
                 "platform.mass",
                 f"{mass!r} kg leaves the middle within a sample: the magnets' stiffness is {magnets:.3g} N/m "
-                f"('{{group}}actuator.air_gap' …); allowed: >= {magnets / (_FASTEST_POLE * self.rate) ** 2:.3g} kg",
+                "('{group}actuator.air_gap', '{group}actuator.turns', '{group}actuator.pole_area', "
+                f"'{{group}}actuator.bias_current'); allowed: >= {magnets / (_FASTEST_POLE * self.rate) ** 2:.3g} kg "
+                "at this '{group}rate'",
             )
 
     @property

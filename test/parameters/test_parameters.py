@@ -130,7 +130,8 @@ driver | hardware=can can.wire.x.message=pos | can.wire.x.message | can.dbc
 driver | stage.platform.stop=0.002 | stage.platform.stop | stage.actuator.air_gap
 driver | stage.friction.static=0.1 | stage.friction.static | stage.friction.coulomb
 driver | stage.friction.coulomb=0.0 | stage.friction.static | stage.friction.coulomb
-driver | stage.platform.mass=1.0e-5 stage.actuator.bias_current=50.0 | stage.platform.mass | stage.actuator.air_gap
+driver | stage.platform.mass=1.0e-5 stage.actuator.bias_current=50.0 | stage.platform.mass | stage.rate \
+stage.actuator.air_gap stage.actuator.turns stage.actuator.pole_area stage.actuator.bias_current
 cell | stage.motion.jerk=1.0e-9 | stage.motion.jerk |
 cell | stage.motion.speed=1.5 | stage.motion.highest_speed | stage.motion.speed
 cell | stage.motion.stroke=0.0 | stage.motion.stroke |

@@ -1,5 +1,7 @@
 """`straightcomp stage`: a description is written, checked, shown with what follows from it, and run by `simulate`."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 import yaml
@@ -99,7 +101,8 @@ def test_what_no_stage_has_is_refused_before_anything_is_written(tmp_path, new, 
     refused = new(tmp_path / "one", "--set", given)
     assert refused.code == 2 and words in refused.err
     assert new(tmp_path / "one", "--survey", "nowhere.csv").code == 2
-    assert not (tmp_path / "one").exists()
+    assert new(tmp_path / "one\ttwo").code == 2
+    assert not list(tmp_path.iterdir())
 
 
 def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path, monkeypatch, verb):
@@ -126,6 +129,12 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
             {"Samples": ["4000"], "Coulomb friction": ["2.0"], "Static friction": ["", "2.5"]},
             {"rate": 4000, "friction.coulomb": 2.0, "friction.static": 2.5},
         ),
+        # The answer that was typed wrong is the one that the refusal compares with.
+        ({"Coulomb friction": ["43", "0.4"]}, {"friction.coulomb": 0.4}),
+        (
+            {"Turns": ["100000", "500"], "Bias current": ["2"]},
+            {"actuator.turns": 500.0, "actuator.bias_current": 2.0},
+        ),
     ],
 )
 def test_what_does_not_fit_the_answers_is_asked_for_until_it_does_and_they_are_kept(
@@ -134,11 +143,22 @@ def test_what_does_not_fit_the_answers_is_asked_for_until_it_does_and_they_are_k
     left = {words: iter(texts) for words, texts in answers.items()}
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr(
-        "builtins.input", lambda question: next((next(texts) for words, texts in left.items() if words in question), "")
+        "builtins.input",
+        lambda question: next((next(texts, "") for words, texts in left.items() if words in question), ""),
     )
     said = verb("stage", "new", tmp_path / "one")
     assert said.code == 0 and f"facts given: {len(facts)};" in said.out
     assert read_stage_file(tmp_path / "one" / "stage.yaml")["stage"].items() >= facts.items()
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_questions_that_are_not_answered_leave_no_folder_but_one_that_was_there(tmp_path, monkeypatch, verb, there):
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True)
+    monkeypatch.setattr("builtins.input", Mock(side_effect=["4000", EOFError]))
+    if there:
+        (tmp_path / "one").mkdir()
+    assert verb("stage", "new", tmp_path / "one").code == 2
+    assert (tmp_path / "one").exists() is there and not list(tmp_path.glob("one/*"))
 
 
 @pytest.mark.parametrize(("stroke", "worst"), [(1.76, "ok"), (1.77, "warn"), (2.0, "fail")])
