@@ -72,7 +72,7 @@ bool board_start(struct board *board, const struct board_config *config, board_s
 void board_sample(struct board *board, int64_t now_ns, const struct board_reading *reading);
 
 /* Take a frame of the bus that arrived at `at_ns`, and say whether it is for this board. In an identifier of 29 bits
- * WIRE_EXTENDED is set. Then look at board_next_ns(). */
+ * WIRE_EXTENDED is set. Then call board_act(), for a late command, and look at board_next_ns(). */
 bool board_receive(struct board *board, uint32_t identifier, const uint8_t *data, size_t length, int64_t at_ns);
 
 /* Do what is due by `now_ns`: call it at board_next_ns(). */

@@ -324,6 +324,18 @@ def test_a_program_that_is_not_for_this_board_is_refused(firmware, capfd, can, s
     assert all(words in found for words in said)
 
 
+def test_frames_of_more_messages_than_the_core_has_room_for_are_refused(firmware, tmp_path, capfd):
+    wire, program = FD.make_wire(), tmp_path / "board_posix"
+    for name, text in frames_in_c([wire]).items():
+        count = f".frame_count = {len(wire.reports)}u"
+        (tmp_path / name).write_text(text.replace(count, f".frame_count = {len(OF_BOARD) + 1}u"))
+    made = ["make", "-C", REPOSITORY / "firmware", program, f"GENERATED={tmp_path}", f"BUILD={tmp_path}"]
+    subprocess.run(made, check=True, timeout=300)
+    with pytest.raises(HardwareError, match="has ended with code 1"):
+        Pair(FD, program)
+    assert "the configuration is not allowed" in capfd.readouterr().err
+
+
 def test_the_verb_writes_the_frames_of_a_stage_and_says_how_they_are_built(tmp_path, verb):
     folder, file = tmp_path / "frames (2)", tmp_path / "file"
     said = verb("can", "firmware", FOREIGN_FILE, "-o", folder).err
