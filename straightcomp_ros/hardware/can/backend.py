@@ -142,14 +142,16 @@ class CanHardware(Hardware):
     def home(self, now_ns: int) -> None:
         if self._receiver.emulator is None:
             super().home(now_ns)  # it refuses
-        self._send_to_stage(self._frames_for_stage().stage_payloads(()))
+        frames = self._frames_for_stage()
+        self._send_to_stage([frames.pace_payload(self.motion.pace), *frames.stage_payloads(())])
 
     def pace(self, pace: Pace) -> None:
         frame = self._frames_for_stage().pace_payload(pace)
         self.motion.position(self._clock())
-        if not (self.motion.over and self._link.problem):
+        # An override may wait: it is sent with the next motion. A stop must not: where the motion is over here, the
+        # emulator's stage may still move.
+        if pace.hold or pace.end or not (self.motion.over and self._link.problem):
             self._send_to_stage([frame])
-        # A stage at rest gets it with its next motion too.
         self.motion.ask(pace)
 
     def _frames_for_stage(self) -> EmulatorFrames:

@@ -521,6 +521,10 @@ def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_mo
     send, world.host._link.send = world.host._link.send, lambda *frame, **how: False
     world.host._link.problem = "CAN can0 is not open yet"
     world.host.pace(Pace(0.5))
+    # The emulator may be in mid-motion.
+    for stop in (Pace(hold=True), Pace(end=True)):
+        with pytest.raises(HardwareError, match="not open yet"):
+            world.host.pace(stop)
     world.host._link.send, world.host._link.problem = send, ""
     for begin, distance in ((0.0, 0.02), (0.02, -0.02)):
         world.run(0.2)
@@ -584,9 +588,13 @@ def test_a_board_that_loses_the_reference_of_x_switches_off_and_says_so_until_it
 def test_a_simulated_stage_on_can_is_homed_by_a_frame(world):
     world.run(0.2)
     world.board.machine.unreferenced = "it was switched off"
+    world.host._link.problem = "CAN can0 is not open yet"
+    world.host.pace(Pace(0.5))
+    world.host._link.problem = ""
     world.run(0.02)
     assert world.host.unreferenced
     world.host.home(world.now)
+    assert world.board.machine.motion.pace == Pace(0.5)
     world.run(0.1)
     assert world.host.unreferenced == ""
 
