@@ -1,5 +1,6 @@
 """Demonstrates the whole graph: five nodes as processes, one cycle of the stage, a bag, and its evaluation."""
 
+import math
 import secrets
 import socket
 import tempfile
@@ -26,9 +27,11 @@ from straightcomp_ros.cell.launcher import (
     run_cycle,
     verb_command,
 )
+from straightcomp_ros.hardware.can.can_parameters import CanParameters
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.model.motion import cycles
 from straightcomp_ros.opcua.admission import OPERATOR, OpcuaParameters, add_user
+from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
@@ -227,8 +230,9 @@ def free_port() -> int:
 def on_hub(values: Values, socket: str) -> dict[str, Any]:
     """Driver parameters that replace its simulated machine by an emulated board on a hub at ``socket``."""
     driver = node_parameters("driver", values)
-    timeout, wire = driver.simulated.command_timeout, driver.can.make_wire()
-    state, beat = wire.state_interval(1.0 / driver.stage.rate), wire.heartbeat.period if wire.heartbeat else 0.0
+    timeout = driver.simulated.command_timeout
+    state, beat = driver.can.make_wire().intervals(driver.stage.rate)
+    most = {one.name: one.maximum or math.inf for one in declarations(CanParameters)}
     return {
         "hardware": "can",
         "can.interface": INTERFACE,
@@ -237,8 +241,8 @@ def on_hub(values: Values, socket: str) -> dict[str, Any]:
         # As long as the board's own, which tolerates a stalled desktop, and as its frames need.
         "can.command_timeout": timeout,
         "can.sample_timeout": timeout,
-        "can.heartbeat_timeout": max(timeout, 3.0 * beat, 3.0 * state),
-        "can.answer_timeout": max(driver.can.answer_timeout, 3.0 * state),
+        "can.heartbeat_timeout": min(max(timeout, 3.0 * beat, 3.0 * state), most["heartbeat_timeout"]),
+        "can.answer_timeout": min(max(driver.can.answer_timeout, 3.0 * state), most["answer_timeout"]),
     }
 
 

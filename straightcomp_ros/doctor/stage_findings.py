@@ -420,17 +420,11 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
     stage, can = driver.stage, driver.can
     if driver.hardware != "can" and not can.dbc:
         return
-    wire, motion, encoder, step = can.make_wire(), stage.motion, stage.encoder, stage.drive.current_step
+    wire, encoder, step = can.make_wire(), stage.encoder, stage.drive.current_step
     names = [frames.name for frames in (*wire.reports.values(), *wire.commands)]
     yield Finding("wire", "ok", f"{wire.dbc.file}: {', '.join(names)}")
-    ends = reach(motion)
+    yield _x_finding(wire, stage)
     stop, limit = stage.platform.stop, stage.actuator.current_limit
-    travel, turn = ends[1] - ends[0] + 2.0 * stage.guide.runout, wire.sample.x_modulus
-    if 0.0 < turn <= travel and "referenced" not in wire.homes:
-        detail = f"x repeats itself every {turn:.6g} m of a travel of {travel:.6g} m, and no signal says 'referenced'"
-        yield Finding("wire x", "fail", detail, "Name a signal in can.wire.referenced, or use a counter of more bits.")
-    else:
-        yield _range("wire x", wire.sample, "x", ends, encoder.x_resolution, "m")
     yield _range("wire y", wire.homes["y"], "y", (-stop, stop), encoder.y_resolution, "m")
     yield _range("wire command", wire.command, "current", (-limit, limit), step, "A")
     if wire.current is not None:
@@ -440,8 +434,8 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
         yield Finding("wire protection", "warn", gap, "Ask the maker of the board, or accept what follows.")
     if not missing:
         yield Finding("wire protection", "ok", "CRC, counters, echo and heartbeat are there")
-    state, beat = wire.state_interval(1.0 / stage.rate), wire.heartbeat.period if wire.heartbeat else 0.0
-    in_time = max(state, beat) < can.heartbeat_timeout and state < can.answer_timeout
+    state, beat = wire.intervals(stage.rate)
+    in_time = beat < can.heartbeat_timeout and state < min(can.silences(stage.rate)[1], can.answer_timeout)
     detail = f"the state of the amplifier comes every {state * 1e3:g} ms"
     detail += f", the heartbeat every {beat * 1e3:g} ms" if beat else ""
     remedy = (
@@ -452,6 +446,26 @@ def board_findings(driver: DriverNodeParameters) -> Iterator[Finding]:
     detail = f"at {stage.rate} Hz the bus of {can.bitrate / 1e6:g} Mbit/s is busy by {busy:.0%}"
     remedy = "Shorten the frames, raise can.bitrate or can.data_bitrate, or lower stage.rate."
     yield judged("wire bus", busy <= _BUS_FULL, detail, remedy, "fail" if busy > 1.0 else "warn")
+
+
+def _x_finding(wire: Wire, stage: StageParameters) -> Finding:
+    """Range and resolution of x, and whether the driver can follow it from one sample to the next."""
+    name, ends, encoder = "wire x", reach(stage.motion), stage.encoder
+    step, turn = wire.sample.step("x"), wire.sample.x_modulus
+    travel = ends[1] - ends[0] + 2.0 * stage.guide.runout
+    repeated, way = 0.0 < turn <= travel, stage.motion.highest_speed / stage.rate
+    moved = f"the stage may move by {way:.3g} m within a sample"
+    if repeated and turn <= 2.0 * (way + wire.noise("x", encoder.x_resolution)):
+        remedy = "Use a counter of more bits, or check its unit in the DBC file."
+        return Finding(name, "fail", f"x repeats itself every {turn:.6g} m, and {moved}", remedy)
+    if repeated and "referenced" not in wire.homes:
+        detail = f"x repeats itself every {turn:.6g} m of a travel of {travel:.6g} m, and no signal says 'referenced'"
+        return Finding(name, "fail", detail, "Name a signal in can.wire.referenced, or use a counter of more bits.")
+    if step > way + encoder.x_noise:
+        detail = f"x comes in steps of {step:.3g} m, which the driver takes for jumps: {moved}"
+        remedy = "Use a finer scale, check its unit in the DBC file, or set stage.encoder.x_resolution to this step."
+        return Finding(name, "fail", detail, remedy)
+    return _range(name, wire.sample, "x", ends, encoder.x_resolution, "m")
 
 
 _WRONG_UNIT = 100.0

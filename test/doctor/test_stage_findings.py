@@ -51,6 +51,7 @@ def sticky(dither, **changes):
 
 FREE = {"friction__coulomb": 0.0, "friction__static": 0.0}
 STIFF = {"friction__bristle_stiffness": 1e8}
+SLOW = {"motion__speed": 5e-5, "motion__highest_speed": 1e-4}
 CERTAIN = {"uncertainty__friction": 1.3}
 
 
@@ -82,12 +83,15 @@ CERTAIN = {"uncertainty__friction": 1.3}
         ("wire x", "fail", stage(motion__start=2.0), "the stage needs 2 to 3.76 m"),
         ("wire y", "fail", {"driver": {"can.wire.y.factor": 0.1}}, "needs -0.0012 to 0.0012 m"),
         ("wire x", "warn", stage(encoder__x_resolution=1e-8), "in steps of 1.22e-07 m; the stage needs"),
+        ("wire x", "fail", {**OWN_BUS, **stage(encoder__x_resolution=1e-8, **SLOW)}, "takes for jumps"),
+        ("wire x", "warn", {**OWN_BUS, **stage(encoder__x_resolution=5e-8, **SLOW)}, "in steps of 1e-07 m; the"),
         ("wire bus", "fail", stage(rate=4500), "busy by 1"),
         ("wire bus", "warn", stage(rate=3600), "busy by 8"),
         ("wire y", "warn", {**OWN_BUS, **stage(encoder__y_resolution=1e-9)}, "in steps of 1e-07 m"),
         ("wire state", "ok", {"driver": {"can.answer_timeout": 0.011}}, "comes every 10 ms"),
         ("wire state", "fail", {"driver": {"can.answer_timeout": 0.009}}, "can.answer_timeout"),
         ("wire state", "fail", {"driver": {"can.heartbeat_timeout": 0.009}}, "can.heartbeat_timeout"),
+        ("wire state", "ok", {"driver": {"can.heartbeat_timeout": 0.009, "can.sample_timeout": 0.011}}, "10 ms"),
         (
             "wire state",
             "fail",
@@ -151,6 +155,8 @@ def test_protection_that_is_missing_is_found(check):
         ("18|22@1- (1E-007,0)", {"motion.stroke": 0.3}, "", "ok", ""),
         ("18|22@1+ (1E-007,0)", {"motion.start": -0.2, "motion.stroke": 0.3}, "", "ok", ""),
         ("18|22@1- (1E-006,0)", {}, "", "warn", "too coarse"),
+        ("18|14@1- (1E-007,0)", {}, "Referenced", "fail", "may move by 0.001 m within a sample"),
+        ("18|22@1- (1E-010,0)", {}, "Referenced", "fail", "check its unit"),
     ],
 )
 def test_an_encoder_whose_counter_wraps_fits_a_travel_within_its_turn_or_a_board_that_says_it_is_referenced(

@@ -82,7 +82,7 @@ def test_more_strokes_than_fit_one_trajectory_are_refused_before_anything_starts
     assert demonstration._cycle(short_cycle, 33)[0] > 60.0
 
 
-@pytest.mark.parametrize("cycle_ms", [5, 500])
+@pytest.mark.parametrize("cycle_ms", [500, 2000])
 def test_a_board_on_the_hub_may_say_its_state_as_seldom_as_its_file_says(tmp_path, cycle_ms):
     text = share_path("config/board_motorola.dbc").read_text()
     (tmp_path / "board_motorola.dbc").write_text(text.replace("BO_ 801 5;", f"BO_ 801 {cycle_ms};"))

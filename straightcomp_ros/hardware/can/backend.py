@@ -62,9 +62,8 @@ class CanHardware(Hardware):
         self._link = make_link(parameters, self._receiver.identifiers, self._receiver.take, clock)
         self._numbers: dict[int, int] = {}
         self._newest_number = self._turn = self._deadline_ns = self._command_ns = 0
-        least_ns = SILENT_SAMPLES * stage.period_ns
-        self._silence_ns = max(_TIMEOUTS * parameters.command_timeout * 1e9, least_ns)
-        self._sample_silence_s = max(parameters.sample_timeout, least_ns * 1e-9)
+        self._silence_ns = max(_TIMEOUTS * parameters.command_timeout * 1e9, SILENT_SAMPLES * stage.period_ns)
+        self._sample_silence_s, self._state_silence_s = parameters.silences(stage.rate)
         self._within = f"within {parameters.answer_timeout * 1e3:g} ms"
         self._current = 0.0
         self._wanted = self._was_on = self._resetting = False
@@ -300,12 +299,12 @@ class CanHardware(Hardware):
 
     def _silence(self, now_ns: int) -> Finding | None:
         """The fault if heartbeat, samples or state have stopped; the state may come in frames of its own."""
-        receiver, samples_s = self._receiver, self._sample_silence_s
-        heartbeat_s = self._parameters.heartbeat_timeout
+        receiver = self._receiver
+        heartbeat_s = self._parameters.heartbeat_timeout if self._wire.heartbeat else math.inf
         for newest_ns, timeout_s, kind, what in (
-            (receiver.heartbeat_ns, heartbeat_s if self._wire.heartbeat else math.inf, Fault.HEARTBEAT_LOST, _BEAT),
-            (receiver.newest_ns, samples_s, Fault.SAMPLE_TIMEOUT, "no good sample"),
-            (receiver.status_ns, max(heartbeat_s, samples_s), Fault.HEARTBEAT_LOST, "no state of the amplifier"),
+            (receiver.heartbeat_ns, heartbeat_s, Fault.HEARTBEAT_LOST, _BEAT),
+            (receiver.newest_ns, self._sample_silence_s, Fault.SAMPLE_TIMEOUT, "no good sample"),
+            (receiver.status_ns, self._state_silence_s, Fault.HEARTBEAT_LOST, "no state of the amplifier"),
         ):
             age_ns = now_ns - newest_ns
             if age_ns > timeout_s * 1e9:

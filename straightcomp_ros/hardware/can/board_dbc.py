@@ -164,11 +164,18 @@ class Wire:
         """Of all frames that the board sends."""
         return [*self.reports, *([self.heartbeat.identifier] if self.heartbeat else [])]
 
-    def state_interval(self, period: float) -> float:
-        """Time in s from one state of the amplifier to the next, with a sample each ``period`` s."""
-        frames = self.homes["amplifier"]
+    def intervals(self, rate: float) -> tuple[float, float]:
+        """Times in s, at a ``rate`` in Hz, from one state of the amplifier to the next, and from one heartbeat to the
+        next: 0 without."""
+        frames, period = self.homes["amplifier"], 1.0 / rate
         turns = len(frames.pages) if self._pages["amplifier"] else 1
-        return turns * (period if frames in self.parts else max(frames.period, frames.every * period))
+        state = turns * (period if frames in self.parts else max(frames.period, frames.every * period))
+        return state, self.heartbeat.period if self.heartbeat else 0.0
+
+    def noise(self, axis: str, resolution: float) -> float:
+        """Difference in m that two readings of ``x`` or ``y`` may have at rest: two counts, of the frame or a coarser
+        encoder with this ``resolution``, and half a one for the rounding of numbers in metres."""
+        return 2.5 * max(self.homes[axis].step(axis), resolution)
 
     def source(self) -> str:
         """Name of the DBC file, and a checksum of it with the meaning: by it a firmware knows whether it has these

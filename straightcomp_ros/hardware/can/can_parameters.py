@@ -7,6 +7,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from straightcomp_ros.hardware.interface import SILENT_SAMPLES
 from straightcomp_ros.parameters.declaration import RefusedParameter, group, parameter, to_mapping
 
 if TYPE_CHECKING:
@@ -203,6 +204,11 @@ class CanParameters:
             self.make_wire()
         if self.log and not self.log.lower().endswith(_LOG_ENDINGS):
             raise RefusedParameter("log", f"'{self.log}' is not allowed; allowed: *{' or *'.join(_LOG_ENDINGS)}")
+
+    def silences(self, rate: float) -> tuple[float, float]:
+        """Times in s that latch a fault without a sample, of ``rate`` a second, and without the amplifier's state."""
+        sample = max(self.sample_timeout, SILENT_SAMPLES / rate)
+        return sample, max(self.heartbeat_timeout, sample)
 
     def make_wire(self) -> "Wire":
         """The frames of this board; raises RefusedParameter if DBC file and meaning do not fit together."""

@@ -77,11 +77,10 @@ class Receiver:
         self.current = 0.0
         self._memory, self._error_limit = parameters.sample_memory, parameters.strike_limit
         self._stale_ns = round(parameters.sample_timeout * 1e9)
-        # Two counts of noise, of the frame or a coarser encoder; half a one more for the rounding of numbers in metres.
         self._x_step = stage.motion.highest_speed * period_ns * 1e-9
         self._y_step = parameters.y_speed * period_ns * 1e-9
-        counts = ("x", stage.encoder.x_resolution), ("y", stage.encoder.y_resolution)
-        self._x_noise, self._y_noise = (2.5 * max(wire.homes[axis].step(axis), count) for axis, count in counts)
+        self._x_noise = wire.noise("x", stage.encoder.x_resolution)
+        self._y_noise = wire.noise("y", stage.encoder.y_resolution)
         self._accepted: int | None = None
         """Count of the newest accepted frame; 0 for frames without."""
         self._good: tuple[float, float, int] | None = None
