@@ -128,12 +128,13 @@ def mains(motion: JudgedMotion, line: Line) -> Line | None:
 
 
 def locked_to_x(motion: JudgedMotion) -> Line | None:
-    """The strongest wave of the error over x, if in each stroke it has more of the error than any line in time, and
-    enough to name it."""
+    """The strongest wave of the error over x, if in each whole stroke it has more of the error than any line in time,
+    and enough to name it."""
     found = []
-    for samples in (stroke.samples for stroke in motion.strokes):
+    for samples in (stroke.samples for stroke in motion.whole_strokes):
         time, x, error = motion.time[samples], motion.x[samples], motion.error[samples]
-        speed = float(np.quantile(np.abs(np.gradient(x, time)), 0.9))
+        # Of a coarse encoder most samples stand.
+        speed = max(float(np.quantile(np.abs(np.gradient(x, time)), 0.9)), float(np.ptp(x) / np.ptp(time)))
         over_x, over_time = _of_few_waves(x, error, _FASTEST / speed), _of_few_waves(time, error, _FASTEST)
         # At constant speed both are the same line: the ramps make the difference, which noise must not make.
         noise = _background(*_spectrum(x, error, over_x.at), float(np.ptp(x)), over_x.at)
@@ -280,7 +281,7 @@ def of_error(motion: JudgedMotion) -> str:
     # This import takes half a second.
     from scipy.ndimage import gaussian_filter1d
 
-    x, error, strokes, period = motion.x, motion.error, motion.strokes, motion.period
+    x, error, strokes, period = motion.x, motion.error, motion.whole_strokes, motion.period
     grid = np.linspace(float(x.min()), float(x.max()), _PLACES)
     rows = [np.interp(grid, *_ascending(x[one.samples], error[one.samples])) for one in strokes]
     alike = np.atleast_2d(np.corrcoef(rows)) if rows else np.ones((0, 0))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.interruption import Stall
 from straightcomp_ros.analysis.metrics import RESTING
-from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stroke, motion_of
+from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stroke, motion_of, whole
 from straightcomp_ros.control.laws import ControlParameters, dither_of
 from straightcomp_ros.control.margins import missing_margin, unstable_where
 from straightcomp_ros.model.converters import DriveParameters
@@ -292,6 +292,12 @@ class JudgedMotion:
             return motion_of(self.time, self.x).strokes
         except MetricsError:
             return ()
+
+    @cached_property
+    def whole_strokes(self) -> Sequence[Stroke]:
+        """Those that are as long as the longest, or nearly: a short one shows too little to speak against them."""
+        chosen = whole([float(np.ptp(self.x[one.samples])) for one in self.strokes])
+        return [one for one, is_whole in zip(self.strokes, chosen.tolist(), strict=True) if is_whole]
 
     def resting(self) -> list[Array]:
         """The error (m,) in each pause between strokes, from :data:`RESTING` after a stroke on."""

@@ -220,7 +220,7 @@ def motion_of(time: Array, x: Array) -> Motion:
 def strokes_and_jumps(time: Array, x: Array) -> tuple[tuple[Stroke, ...], NDArray[np.intp]]:
     """The strokes in a motion of at least three samples, ``time`` (n,) in s rising and ``x`` (n,) in m finite, and the
     samples (m,) at which x jumps: it is not where a stage can have gone since the sample before, because an encoder
-    failed, a driver was started again, or there are two drivers. Samples next to a gap of ``time`` are no jump.
+    failed, a driver was started again, or there are two drivers. A move over a gap of ``time`` is no jump.
 
     Speed is taken over :data:`SPEED_SPAN`, which hides the quantisation of x, but makes a stroke seem longer at both
     ends. The ends are then moved in to where x leaves its resting value by :data:`ARRIVED`. At 0.2 m/s² that is 3 ms
@@ -228,13 +228,14 @@ def strokes_and_jumps(time: Array, x: Array) -> tuple[tuple[Stroke, ...], NDArra
     """
     steps = np.diff(time)
     period = float(np.median(steps))
-    regular = steps < 1.5 * period
-    moves = np.where(regular, np.diff(x), 0.0)
+    # More than one where samples were lost; the mean move is known there too.
+    periods = np.maximum(np.rint(steps / period), 1.0)
+    moves = np.diff(x) / periods
     allowed = max(_LEAST_JUMP, _FASTEST_CHANGE * period**2)
-    change = (np.abs(np.diff(moves)) > allowed) & regular[:-1] & regular[1:]
+    change = np.abs(np.diff(moves)) > 0.5 * allowed * (periods[:-1] + periods[1:])
     # A jump changes the move twice: into it, and out of it.
     sudden = np.append(change, False) | np.append(False, change)
-    jumps = np.flatnonzero(sudden & regular & (np.abs(moves) > allowed)) + 1
+    jumps = np.flatnonzero(sudden & (periods == 1.0) & (np.abs(moves) > allowed)) + 1
     pieces = itertools.pairwise([0, *jumps.tolist(), time.size])
     half = max(1, round(0.5 * SPEED_SPAN / period))
     return tuple(stroke for start, stop in pieces for stroke in _strokes(time, x, start, stop, half)), jumps
@@ -257,8 +258,8 @@ def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator
         piece = x[start:stop]
         if way[start] != 0.0 and abs(piece[-1] - piece[0]) >= SHORTEST_STROKE:
             away = np.flatnonzero((np.abs(piece - piece[0]) > ARRIVED) & (np.abs(piece - piece[-1]) > ARRIVED))
-            # A single sample has no speed, and no line.
-            if away.size > 1:
+            # Samples at one place have no speed, and no line.
+            if away.size and piece[away[0]] != piece[away[-1]]:
                 direction: Direction = "forward" if way[start] > 0.0 else "backward"
                 yield Stroke(first + start + int(away[0]), first + start + int(away[-1]) + 1, direction)
 

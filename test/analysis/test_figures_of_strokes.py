@@ -72,11 +72,12 @@ def test_a_shift_of_less_than_half_a_jog_is_no_stroke_and_a_longer_one_is():
         assert (time[stroke.start], time[stroke.stop - 1]) == pytest.approx((1.0, 1.0 + duration), abs=0.003)
 
 
+@pytest.mark.parametrize("held", [1, 2, 3])
 @pytest.mark.parametrize("within", [1, 2, 3])
-def test_a_jog_within_a_few_samples_is_evaluated_or_is_no_stroke(assessed, within):
-    # 0.1 mm at 500 Hz, after a stroke.
-    time = np.arange(1500) * 2e-3
-    x = 0.1 * np.clip(time - 0.2, 0.0, 1.0) + 1e-4 * np.clip((np.arange(1500) - 1000) / (within + 1), 0.0, 1.0)
+def test_a_jog_within_a_few_samples_is_evaluated_or_is_no_stroke(assessed, within, held):
+    # 0.1 mm at 500 Hz, after a stroke, of an encoder that gives each reading so many times.
+    time, readings = np.arange(1500) * 2e-3, (np.arange(1500) - 1000) // held
+    x = 0.1 * np.clip(time - 0.2, 0.0, 1.0) + 1e-4 * np.clip(readings / (within + 1), 0.0, 1.0)
     record = StrokeRecord(time, x, 0.0 * x, 0.0 * x, 0.0 * x, "law")
     assert len(assessed(record).strokes) == (2 if within > 1 else 1)
 

@@ -200,6 +200,10 @@ def test_strokes_on_both_sides_of_a_jump_of_x_are_found_and_a_jump_is_no_stroke(
     assert (one.start, one.stop) == (1, lost.size - 1)
     jumped = np.where(lost < 202, 0.0, 0.1) + lost * 1.5e-3
     assert strokes_and_jumps(lost * 1e-3, jumped)[1][0] == 201
+    # Between two gaps the jump is a single move, of which only the means on both sides tell that it is none.
+    between = np.delete(np.arange(4000), [1999, 2002])
+    jumped = np.where(between < 2001, 0.0, 0.1) + between * 2.5e-5
+    assert strokes_and_jumps(between * 5e-4, jumped)[1].tolist() == [2000]
     with pytest.raises(ValueError, match="x jumps by 100 mm"):
         motion_of(time, np.where(time < 1.0, 0.0, 0.1))
 

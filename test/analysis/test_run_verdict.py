@@ -56,6 +56,8 @@ OTHER, NEARLY_RIGHT = GuideFit(20e-6, 27e-6, "shift it"), GuideFit(20e-6, 0.3e-6
 SPEED = 0.5 * np.abs(np.sin(np.pi * TIME / 4.0))
 THERE_AND_BACK = np.cumsum(np.where(TIME < 4.0, SPEED, -SPEED)) * T
 WAVES = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.01)
+AND_A_JOG = np.interp(TIME, 0.875 * TIME, THERE_AND_BACK) + 1e-4 * np.clip((TIME - 7.5) / 0.03, 0.0, 1.0)
+JOGGED = 0.4e-6 * np.sin(2.0 * np.pi * AND_A_JOG / 0.01)
 SHORT_RAMPS = [np.cumsum(0.44 * np.clip(8.0 * np.sin(np.pi * TIME / 4.0), -1.0, 1.0)) * T]
 SHORT_RAMPS.append(0.4e-6 * np.sin(2.0 * np.pi * SHORT_RAMPS[0] / 0.01))
 EVERY = np.arange(TIME.size)
@@ -72,6 +74,7 @@ DRAGGED = 0.4e-6 * np.clip(3.0 * np.cos(2.0 * np.pi * 0.3 * TIME), -1.0, 1.0)
 NOISE = np.random.default_rng(1).normal(0.0, 0.05e-6, TIME.size)
 AT_TURNS = sum(bump(turn, 0.5e-6) for turn in np.arange(0.5, 4.8, 1.0) / 0.6)
 OF_PLACE = 0.4e-6 * np.sin(2.0 * np.pi * THERE_AND_BACK / 0.07) * np.where(TIME < 4.0, 1.0, -1.0)
+TURNED = 0.4e-6 * np.sin(2.0 * np.pi * AND_A_JOG / 0.07) * np.where(TIME < 3.5, 1.0, -1.0)
 IN_TURN = 0.1 * np.clip(np.abs(TIME - 4.0), 0.5, None)
 
 
@@ -184,6 +187,8 @@ CASES = {
     "waves over x are locked to it, whatever their frequency": [
         ("locked_to_x", "every 10 mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=THERE_AND_BACK)),
+        # A jog is too short for waves.
+        ("locked_to_x", "every 10 mm of x", motion(SMALL + JOGGED, x=AND_A_JOG, r=0.1 * R)),
         ("locked_to_x", "every 10 mm of x", motion(SMALL + SHORT_RAMPS[1], x=SHORT_RAMPS[0], r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=SHORT_RAMPS[0], r=0.1 * R)),
     ],
@@ -256,10 +261,13 @@ CASES = {
         ),
         # A jog within some samples, in which no line has four waves.
         ("inaccurate", "changes slowly", motion(SLOW, x=QUICK_JOG, promise=promised(0.1))),
+        # An encoder of x whose counts are many samples apart.
+        ("inaccurate", "changes slowly", motion(SLOW, x=1e-5 * np.round(60.0 * TIME), promise=promised(0.1))),
         ("inaccurate", "encoder of y hardly shows it", motion(SLOW, promise=promised(0.1), unseen=True)),
         ("inaccurate", "direction in which the platform moves", motion(DRAGGED, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
         ("inaccurate", "place of x.*learning.learn", motion(OF_PLACE, x=THERE_AND_BACK, promise=promised(0.05))),
+        ("inaccurate", "place of x.*learning.learn", motion(TURNED, x=AND_A_JOG, promise=promised(0.05))),
         ("inaccurate", "comes in jumps.*bristle_stiffness", motion(STEPS + NOISE, promise=promised(0.05))),
     ],
     "a run in order that leaves twice what was promised says what that goes with": [
