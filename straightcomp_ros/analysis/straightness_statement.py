@@ -97,7 +97,7 @@ class Contribution(NamedTuple):
 
 class Statement(NamedTuple):
     """The straightness ``when`` (before or after compensation) about ``line``, in m; ``measured`` is the mean over
-    ``strokes`` strokes, without ``left_out`` partial ones."""
+    ``strokes`` strokes, without ``left_out`` others."""
 
     when: str
     direction: Direction
@@ -172,7 +172,7 @@ def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             cells[f"u_{one['contribution']}_um"] = "?" if one["standard_uncertainty_um"] is None else known
         what = f"{statement['when']}, {statement['direction']}, {statement['line'].replace('_', ' ')}"
         # Statements of a stored certificate may be older.
-        what += f", without {statement['left_out']} partial strokes" if statement.get("left_out") else ""
+        what += f", without {statement['left_out']} strokes" if statement.get("left_out") else ""
         figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
         shown = {f"{name}_um": "?" if figure is None else f"{figure:.3f}" for name, figure in figures.items()}
         rows.append({"straightness": what, **shown, **cells})
@@ -202,13 +202,13 @@ def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[S
         for when, curve in (("before", guide), ("after", guide + record.y)):
             after = when == "after"
             source = Input("sensor", sensor, points) if by_sensor else map_input(evaluation.map, seen=not after)
-            known = [(at[np.isfinite(curve[at])], np.ptp(record.x[at])) for at in moving]
-            series = [
-                (record.time[at], record.x[at], curve[at])
-                for at, way in known
-                # A sensor that began or ended within a stroke has measured a part of the guide.
-                if at.size > 2 * _PIECES and whole(np.ptp(record.x[at]), way)
-            ]
+            series = list[Samples]()
+            for way in moving:
+                known, piece = np.isfinite(curve[way]), _piece_of(record.x[way])
+                at = way[known]
+                # A sensor that began, ended or failed within a stroke has measured a part of the guide.
+                if at.size > 2 * _PIECES and whole(np.unique(piece[known]).size, np.unique(piece).size):
+                    series.append((record.time[at], record.x[at], curve[at]))
             if series:
                 # By the map, the guide is the same in all strokes.
                 inputs = [*([encoder] if after else []), source]
@@ -264,10 +264,15 @@ def independent_points(straightness: StraightnessMap) -> Array:
     return np.linspace(*straightness.span, max(4, round(left * points.size)))
 
 
+def _piece_of(x: Array) -> NDArray[np.intp]:
+    """The number of the piece of their way that each ``x`` (n,) is in."""
+    return np.asarray((x - x.min()) / (np.ptp(x) / _PIECES)).astype(np.intp).clip(0, _PIECES - 1)
+
+
 def _mean_curve(strokes: Sequence[Samples]) -> tuple[Array, Array, Array]:
     """Over the pieces (n,) of x: middle and mean deviation in m, and samples of a stroke."""
     x, curve = (np.concatenate([one[column] for one in strokes]) for column in (1, 2))
-    place = ((x - x.min()) / (np.ptp(x) / _PIECES)).astype(int).clip(0, _PIECES - 1)
+    place = _piece_of(x)
     means = group_means(x, curve, place)
     return *means, np.maximum(np.unique(place, return_counts=True)[1] / len(strokes), 1.0)
 

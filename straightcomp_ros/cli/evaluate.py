@@ -60,6 +60,8 @@ def run(options: argparse.Namespace) -> None:
     report = output_file(options, "--report")
     assessment = _assessed(Path(options.bag), remap, sensor)
     other = _assessed(Path(options.compare), remap, sensor) if options.compare else None
+    if sensor is not None:
+        _check_sensor(assessment, other)
     if other is not None and assessment.uncompensated != other.uncompensated:
         still = assessment.bag if assessment.uncompensated else other.bag
         text = "its error is that of a platform at rest; compare the straightness after compensation, not the errors"
@@ -112,7 +114,6 @@ def parsed_remap(assignments: list[str]) -> dict[str, str]:
 def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessment:
     from straightcomp_ros.analysis.assessment import assessed
     from straightcomp_ros.analysis.record import MetricsError
-    from straightcomp_ros.contract import DISPLACEMENT
 
     try:
         with working("evaluating"):
@@ -120,12 +121,20 @@ def _assessed(bag: Path, remap: dict[str, str], sensor: float | None) -> Assessm
     except MetricsError as error:
         raise CommandFailed(f"bag {bag}: {error}") from error
     print_warnings(found.warnings)
-    if sensor is not None and not found.straightness:
-        raise CommandFailed(
-            f"bag {bag}: --sensor-uncertainty: no stroke has readings on '{DISPLACEMENT.topic}' over nine tenths of "
-            "its way; without the option the straightness is that by the map"
-        )
     return found
+
+
+def _check_sensor(judged: Assessment, other: Assessment | None) -> None:
+    from straightcomp_ros.contract import DISPLACEMENT
+
+    readings = f"readings on '{DISPLACEMENT.topic}'"
+    if judged.evaluation.guide is None:
+        text = "without the option the straightness is that by the map"
+        raise CommandFailed(f"bag {judged.bag}: --sensor-uncertainty: it has no {readings}; {text}")
+    for one in (judged, other):
+        if one is not None and not one.straightness:
+            text = f"each stroke is too short, or has {readings} on less than nine tenths of its way"
+            notes.print(f"{one.bag}: no straightness is stated: {text}")
 
 
 def _print(assessment: Assessment, other: Assessment | None) -> None:

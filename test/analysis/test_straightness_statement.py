@@ -166,8 +166,11 @@ def test_a_quick_stroke_states_the_same_straightness_both_ways(assessed, cosine_
 def test_a_stroke_that_the_sensor_measured_in_part_is_left_out(make_record, assessed, cosine_map):
     record = make_record()
     guide, (forward, _) = cosine_map.deviations(record.x), record.motion.strokes
-    for part, stated_ways in ((0.05, {"forward": 0, "backward": 0}), (0.5, {"backward": 0})):
-        began = np.where(np.arange(guide.size) < forward.start + part * (forward.stop - forward.start), np.nan, guide)
+    part = (np.arange(guide.size) - forward.start) / (forward.stop - forward.start)
+    both, one_way = {"forward": 0, "backward": 0}, {"backward": 0}
+    # The sensor began late, or lost the straight edge in the middle.
+    for first, last, stated_ways in ((0.25, 0.75, one_way), (0.0, 0.05, both), (0.0, 0.5, one_way)):
+        began = np.where((part >= first) & (part < last), np.nan, guide)
         found = statements(assessed(record, guide=began, map=cosine_map).evaluation, 0.01e-6)
         assert {one.direction: one.left_out for one in found} == stated_ways
     # Of two strokes each way the mean is that of the other one.

@@ -99,6 +99,21 @@ def test_a_sensor_that_cannot_be_read_is_left_out_with_a_warning(survey, verb):
     assert ("readings on 'displacement'" in found.err) is not known
 
 
+def test_where_no_stroke_is_stated_by_a_sensor_the_other_figures_are_and_a_note_says_so(bag, tmp_path, verb):
+    runs = []
+    # Some 280 samples a stroke, and some 1,000.
+    for stroke in (0.001, 0.0125):
+        values = {"driver": {}, "feedforward": {}, "controller": {}, "stage": CYCLE | {"motion.stroke": stroke}}
+        runs.append(recorded_run(tmp_path / f"{stroke}", values, sensor=lambda _, truth: truth.guide_deviation))
+    short, measured = runs
+    # Of the other bag nothing is asked but to be compared: it may have no sensor.
+    for first, other in ((short, measured), (measured, bag)):
+        found = verb("evaluate", first, "--compare", other, "--json", "--sensor-uncertainty", "0.01")
+        assert (found.code, found.json["verdict"], found.err.count("no straightness is stated")) == (0, "in_order", 1)
+        of_both = found.json["straightness"], found.json["compared_with"]["straightness"]
+        assert [bool(one) for one in of_both] == [first is measured, other is measured]
+
+
 def test_no_file_however_bad_ends_in_a_traceback(bag, tmp_path, verb):
     content = (bag / "run_0.mcap").read_bytes()
     source = random.Random(2)
