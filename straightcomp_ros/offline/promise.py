@@ -11,6 +11,7 @@ described noise and range of friction, and commands as late as often as a run ma
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from functools import cache, lru_cache, partial
@@ -21,7 +22,7 @@ import numpy as np
 from straightcomp_ros.analysis.judged_motion import Left, destabilised
 from straightcomp_ros.analysis.record import MOVING, SPEED_SPAN, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.control.laws import make_law
-from straightcomp_ros.model.motion import Trajectory, forward_and_back
+from straightcomp_ros.model.motion import Trajectory, Waypoint, forward_and_back, move
 from straightcomp_ros.offline.scenario import MOST_SAMPLES, Scenario
 from straightcomp_ros.offline.starts import COUNTS_APART, STARTS, offset
 from straightcomp_ros.parameters.declaration import ParameterError, under
@@ -42,7 +43,7 @@ from straightcomp_ros.straightness.survey_table import Direction, SurveyError
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
 _LONGEST_REST = 1.0
-"""Time in s at rest from which more of it only makes the RMS smaller."""
+"""Time in s of rests that no figure depends on: before and after all strokes, and after a single one."""
 _STROKES = 32
 """Drawn at most: few runs ask for them. Four left at most 0.23 µm, or 0.55 with the map rounded otherwise, where a
 sound run of a stage of 1 kg left 0.69."""
@@ -97,10 +98,11 @@ def promise_of(
 
 
 def _motion(record: StrokeRecord, described: Any) -> Any:
-    """The described motion, with the place, the length and the speed of the record's strokes where they differ, no
-    longer rests than say something of the error, and no more steps than were made."""
+    """The described motion, with the place, the length and the speed of the record's strokes where they differ, and no
+    longer rests and no more steps than were made."""
     x = record.x[record.motion.window]
-    half = max(1, round(0.5 * SPEED_SPAN / float(np.median(np.diff(record.time)))))
+    period = float(np.median(np.diff(record.time)))
+    half = max(1, round(0.5 * SPEED_SPAN / period))
     moving = record.motion.samples()
     before, after = np.maximum(moving - half, 0), np.minimum(moving + half, record.time.size - 1)
     speeds = np.abs(record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
@@ -109,20 +111,37 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     ways = [float(np.ptp(record.x[one.samples])) for one in record.motion.strokes]
     made = min(len(ways), max(1, round(stroke / float(np.median(ways)))))
     steps = made if described.file else min(made, described.steps)
-    settle, pause = min(described.settle, _LONGEST_REST), min(described.pause, _LONGEST_REST)
+    if described.pause < SPEED_SPAN and not described.file:
+        # The record has them as one stroke.
+        steps = described.steps
+    rests = [following.start - one.stop for one, following in itertools.pairwise(record.motion.strokes)]
+    rest = period * float(np.median(rests)) if rests else _LONGEST_REST
+    # Two digits: strokes of one kind are then one motion.
+    pause = described.pause if described.pause <= rest else float(f"{rest:.2g}")
+    settle = min(described.settle, _LONGEST_REST)
     described = dataclasses.replace(described, file="", steps=steps, settle=settle, pause=pause)
-    reached = min(described.speed, math.sqrt(described.acceleration * stroke))
+    reached = _fastest(stroke, described.speed, described.acceleration, described.jerk)
     same_place = abs(start - described.start) < _SAME * stroke and abs(stroke / described.stroke - 1.0) < _SAME
     if same_place and abs(speed / reached - 1.0) < _SAME:
         return described
     # What reaches this speed on the longest way: a trajectory may ask for more than is described.
     acceleration = max(described.acceleration, speed**2 / max(ways))
-    # Two digits: strokes of one kind are then one motion.
+    smooth = _fastest(max(ways), speed, acceleration, described.jerk) >= (1.0 - _SAME) * speed
     speed = float(f"{speed:.2g}")
-    highest = max(described.highest_speed, 2.0 * speed)
     return dataclasses.replace(
-        described, start=start, stroke=stroke, speed=speed, highest_speed=highest, acceleration=acceleration
+        described,
+        start=start,
+        stroke=stroke,
+        speed=speed,
+        highest_speed=max(described.highest_speed, 2.0 * speed),
+        acceleration=acceleration,
+        jerk=described.jerk if smooth else 0.0,
     )
+
+
+def _fastest(way: float, speed: float, acceleration: float, jerk: float) -> float:
+    """The speed in m/s that a movement of this length in m reaches."""
+    return max(abs(one.velocity) for one in move(Waypoint(0, 0.0, 0.0), way, speed, acceleration, jerk))
 
 
 @lru_cache(maxsize=16)
@@ -150,7 +169,7 @@ def _strokes(
         survey=Survey(tuple(Run("", way, np.frombuffer(x), np.frombuffer(deviation)) for way, x, deviation in runs)),
     )
     if scenario.samples > MOST_SAMPLES:
-        raise MetricsError(f"record: its motion has {scenario.samples} samples; allowed offline: <= {MOST_SAMPLES}")
+        raise MetricsError("record: its motion is too long to be simulated")
     stroke = scenario.stroke()
     window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
     followed, count = along(stroke.map, stroke.true_x)[0], stage.encoder.y_resolution

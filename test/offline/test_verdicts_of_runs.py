@@ -207,14 +207,19 @@ def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_
 @pytest.mark.parametrize(
     ("made", "described", "found"),
     [
-        # Described rests and steps that were not made take neither time nor memory.
-        ({}, {"settle": 86400.0, "pause": 86400.0, "steps": 1000}, {"settle": 1.0, "pause": 1.0, "steps": 1}),
-        ({"steps": 3}, {"steps": 3}, {"steps": 3}),
+        # Described rests and steps that were not made take neither time nor memory. The ends of ramps count as rest.
+        ({}, {"settle": 86400.0, "pause": 86400.0, "steps": 1000}, {"settle": 1.0, "pause": 0.51, "steps": 1}),
+        ({"steps": 3}, {"steps": 3}, {"steps": 3, "pause": 0.5}),
+        ({"pause": 20.0}, {"pause": 20.0}, {"pause": 20.0}),
+        # Without a rest between them, steps are one stroke of the record.
+        ({"steps": 10, "pause": 0.0}, {"steps": 10, "pause": 0.0}, {"steps": 10, "pause": 0.0}),
         ({"start": 0.1, "stroke": 0.03, "steps": 3}, {"stroke": 1.0, "steps": 100}, {"stroke": 0.03, "steps": 3}),
         # A list of near positions far from the start.
         ({"file": "0.25\n0.2505\n0.251\n0.2515\n"}, {"file": "unknown"}, {"stroke": 0.2515, "steps": 5}),
         # A trajectory that accelerates more than is described.
         ({"stroke": 0.2, "speed": 0.5, "acceleration": 2.0}, {}, {"stroke": 0.2, "speed": 0.5}),
+        ({"stroke": 0.2, "speed": 0.5, "acceleration": 2.0}, {"jerk": 1.0}, {"stroke": 0.2, "speed": 0.5}),
+        ({"stroke": 0.2, "jerk": 1.0}, {"jerk": 1.0}, {"stroke": 0.2, "acceleration": 0.2, "jerk": 1.0}),
     ],
 )
 def test_the_promised_motion_is_that_which_was_made(tmp_path, made, described, found):
@@ -230,6 +235,15 @@ def test_the_promised_motion_is_that_which_was_made(tmp_path, made, described, f
         assert getattr(motion, name) == pytest.approx(value, rel=1e-3), name
     fastest = np.abs(Trajectory(forward_and_back(motion)).velocities).max()
     assert fastest == pytest.approx(np.abs(trajectory.velocities).max(), rel=0.03)
+
+
+def test_a_motion_of_too_many_samples_has_no_promise(monkeypatch):
+    values = parameters(stage=CYCLE | {"motion.stroke": 0.02})
+    record, straightness = first_cycle(values)
+    with monkeypatch.context() as patched:
+        patched.setattr(promise, "MOST_SAMPLES", record.time.size // 2)
+        assert promise_of(record, by_node(values), straightness) is None
+    assert promise_of(record, by_node(values), straightness) is not None
 
 
 @pytest.mark.parametrize(
