@@ -127,6 +127,10 @@ DIRECTIONS: dict[str, Direction] = {
 }
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
+_UNSURE = {"back", "forth", "return"}
+"""Words for a direction that may mean either."""
+_UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
+"""What stands in place of a unit: ``[]``, ``(-)``, ``[microns]``."""
 _COMPUTED = {*["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "sigma", "σ", "ø"]}
 """What names a figure of runs among the columns of runs."""
 _RUN = re.compile(rf"(deviation_(?:{'|'.join(PER_METRE)})) \((?:(forward|backward) )?run(?: \d+)?\)")
@@ -203,7 +207,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
-    if not runs and sum(map(bool, map(_RUN.fullmatch, header))) > 1 and not {"run", "direction"}.intersection(header):
+    if not runs and not (names or {}).get("deviation") and sum(map(_may_be_run, header)) > 1:
         raise SurveyError(
             f"{header_line}: {deviation} stands among columns of runs; remove it, or choose it by --deviation-column"
         )
@@ -212,7 +216,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             raise SurveyError(f"{header_line}: {name} is given twice; allowed: one column of this name")
     rows = _rows(path, lines[first:], delimiter, header)
     if runs:
-        _check_columns_of_runs(header_line, header, deviation)
+        _check_columns_of_runs(header_line, header, runs, rows)
         header, rows = _a_row_for_each(runs, header, rows)
     numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
@@ -256,7 +260,8 @@ def _rows(
             row.pop()
         missing = header[len(row) :]
         # Between commas a row may be too short or too long by decimals that were split off.
-        if not any(missing) if delimiter == "," else _SINGLE.isdisjoint(missing):
+        # Otherwise a row of one cell has other separators than the header.
+        if not any(missing) if delimiter == "," else len(row) > 1 and _SINGLE.isdisjoint(missing):
             row += [""] * len(missing)
         # Decimals that are split off may fall into a last column without a name.
         names = len(header) - (delimiter == "," and header[-1] == "" and row[-1].strip().isdigit())
@@ -351,19 +356,43 @@ def _columns_of_runs(header: Sequence[str]) -> dict[int, tuple[str, str]]:
     return found if alike and not other else {}
 
 
-def _check_columns_of_runs(where: str, header: Sequence[str], unit: str) -> None:
-    """Raise SurveyError for two columns of one run, and for a column beside those of runs that may be another run, or
-    is one without a unit: else it would be left out without a word."""
-    for name in header:
+def _lacks_unit(name: str) -> bool:
+    """Whether a column of this name is that of a run by its number or direction, but has no unit that is known."""
+    _, ways, others = _parts_of_run(f"{_UNKNOWN_UNIT.sub('', name)} m")
+    words = [one for one in others if one not in _UNSURE]
+    return bool(ways or words) and max(len(ways), len(words)) < 2 and all(map(str.isdigit, words))
+
+
+def _unit_of_vague(name: str) -> str:
+    """The unit of a column beside those of runs whose name does not exclude that it is one; empty for another."""
+    unit, ways, others = _parts_of_run(name)
+    numbers = [one for one in others if one.isdigit()]
+    return "" if max(len(ways), len(numbers)) > 1 or _COMPUTED.intersection(others) else unit
+
+
+def _may_be_run(name: str) -> bool:
+    """Whether a column of this name is that of a run, or may be by its number or direction."""
+    vague = _unit_of_vague(name) and re.search(rf"\d|{'|'.join(DIRECTIONS)}", name)
+    return bool(_RUN.fullmatch(name) or _lacks_unit(name) or vague)
+
+
+def _check_columns_of_runs(
+    where: str, header: Sequence[str], runs: Mapping[int, tuple[str, str]], rows: Sequence[tuple[str, int, list[str]]]
+) -> None:
+    """Raise SurveyError for two columns of one run, and for a column beside those of ``runs`` that may be another run,
+    or is one without a unit or a name: else it would be left out without a word."""
+    first, (unit, _) = next(iter(runs.items()))
+    for at, name in enumerate(header):
         if _RUN.fullmatch(name) and header.count(name) > 1:
             raise SurveyError(f"{where}: {name} is given twice; allowed: one column for each run, with its number")
-        own, ways, others = _parts_of_run(name)
-        numbers = [one for one in others if one.isdigit()]
-        bare = not own and re.search(r"\d|forward|backward", _of_run(f"{name} m").partition(" ")[2])
-        vague = max(len(ways), len(numbers)) < 2 and not _COMPUTED.intersection(others)
-        if bare or (f"deviation_{own}" == unit and vague):
+        # Right of a name that was given to several cells in one.
+        nameless = at > first and name.strip("[]() ") in ("", *PER_METRE)
+        nameless = nameless and any(re.fullmatch(r"[+-]?[\d.,]*\d", row[at].strip()) for *_, row in rows)
+        bare = _lacks_unit(name)
+        if nameless or bare or f"deviation_{_unit_of_vague(name)}" == unit:
+            lack = " and has no name" if nameless else f" and has no unit of {', '.join(PER_METRE)}" if bare else ""
             raise SurveyError(
-                f"{where}: column '{name}' may be a run{' and has no unit' if bare else ''}; "
+                f"{where}: column '{at + 1 if nameless else name}' may be a run{lack}; "
                 f"allowed for a run: a unit, its number, and {', '.join(DIRECTIONS)}, + "
                 f"or -, as in 'Run 1 forward [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
             )

@@ -133,9 +133,26 @@ TURNS = THERE + THERE[-2::-1]
         ("x_mm,Forward [µm],Backward", THREE, "line·1 column·'backward' may·be·a·run·and·has·no·unit"),
         ("Position,1+,1-\nmm,µm,", THREE, "line·2 column·'1-' may·be·a·run·and·has·no·unit"),
         *(
-            (f"x_mm,{names}", [f"{row},0" for row in THREE], "line·1 deviation_um·stands·among·columns·of·runs")
-            for names in ("Run 1+ (µm),Run 1- (µm),Straightness (µm)", "Deviation (µm),Forward (µm),Backward (µm)")
+            (f"x_mm,Run 1 [µm],{beside}", THREE, "line·1 may·be·a·run·and·has·no·unit")
+            for beside in ("Run 2 back", "Run 2 []", "Run 2 [microns]")
         ),
+        *((f"x_mm;Run 1 [µm];{beside}", ["0;1;1,5"], "line·1 '3'·may·be·a·run") for beside in ("", "[µm]")),
+        *(
+            (
+                f"{names},x_mm",
+                [f"forward,{x % 30},{x % 30},0,{x}" for x in range(0, 240, 10)],
+                "deviation_um·stands·among·columns·of·runs",
+            )
+            for names in (
+                *(
+                    "Remark,Run 1+ (µm),Run 1- (µm),Straightness (µm)",
+                    "Remark,Deviation (µm),Forward (µm),Backward (µm)",
+                ),
+                *("Direction,Run 1 (µm),Run 2 (µm),Deviation (µm)", "Run,Run 1 (µm),Run 2 (µm),Deviation (µm)"),
+                *("Remark,Run 1,Run 2,Deviation (µm)", "Remark,Run 1 back (µm),Run 1 forth (µm),Deviation (µm)"),
+            )
+        ),
+        ("Position,Run 1,Run 2,Straightness\nmm,µm,,µm", [f"{row},0" for row in THREE], "line·2 among·columns·of·runs"),
         # Of columns of runs each is read or refused, and none takes the place of another.
         (
             COLUMNS,
@@ -144,6 +161,7 @@ TURNS = THERE + THERE[-2::-1]
         ),
         (COLUMNS, [f"{x},{x % 30},{'7' * (x == 50)},{x % 30}" for x in range(0, 240, 10)], "column·3 1·points"),
         ("x_mm;deviation_um;run", ["0;1"], "line·2 2·cells,·the·header·has·3"),
+        ("x_mm;Run 1 [µm];Run 2 [µm]", THREE, "line·2 1·cells,·the·header·has·3"),
         *(
             (f"x_mm,{names}", [f"{row},0" for row in THREE], "line·1:·deviation_um·( run·1)·is·given·twice")
             for names in ("Run 1 (µm),run 1 [um],Run 2 (µm)", "1+ (µm),2+ (µm),1 fwd (µm)")
@@ -246,11 +264,11 @@ def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_
     [
         ("x_mm,run 1 [um],deviation_um", {}),
         ("x_mm,run 1 [um],deviation_um,run 2 [um]", {"deviation": "deviation_um"}),
-        ("direction,x_mm,run 1 [um],deviation_um,run 2 [um]", {}),
+        ("direction,x_mm,run 1,deviation_um,mean of run [um]", {}),
     ],
 )
 def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column_is_another_run(read, header, names):
-    first, after = "fwd," * header.startswith("direction"), ",7" * ("run 2" in header)
+    first, after = "fwd," * header.startswith("direction"), ",7" * (header[-1] == "]")
     (run,) = read(header, *(f"{first}{x},{x % 40},{x % 30}{after}" for x in range(0, 240, 10)), names=names).runs
     assert run.deviation.max() == pytest.approx(20e-6)
 
@@ -259,7 +277,7 @@ def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column
     "beside",
     [
         *("Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)"),
-        *("run 3 (0.1 µm)", "run 3 (µm/m)", "Temp run 1 (°C)", "Pass"),
+        *("run 3 (0.1 µm)", "run 3 (µm/m)", "Temp run 1 (°C)", "Run 1 temperature", "Pass"),
     ],
 )
 def test_a_column_that_is_computed_of_runs_or_has_another_unit_or_no_number_is_no_run(read, beside):
