@@ -162,8 +162,9 @@ def as_it_is(guide: MapParameters) -> BuiltMap:
 def agreeing(
     survey: Survey, limit: float, guide: MapParameters = MAP
 ) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
-    """The runs without outliers, in their order; names of rejected runs, also of those that have then fewer points or
-    wider gaps than ``guide`` allows; rejected points. SurveyError if the runs do not fit together as it demands."""
+    """The runs without outliers, in their order; names of rejected runs, also of those that have then fewer points,
+    wider gaps or ends farther from the others' than ``guide`` allows; rejected points. SurveyError if the runs do not
+    fit together as it demands."""
     x, values = on_common_grid(survey, guide.min_points, guide.max_gap)
     outlier = np.zeros(values.shape, np.bool_)
     rejected = np.zeros(len(values), np.bool_)
@@ -171,13 +172,17 @@ def agreeing(
         ours = np.array([run.direction == direction for run in survey.runs])
         if ours.any():
             rejected[ours], outlier[ours] = disagreement(values[ours], limit)
+    sound = [run for run, gone in zip(survey.runs, rejected, strict=True) if not gone]
+    start, end = min(run.x[0] for run in sound), max(run.x[-1] for run in sound)
     kept, lost, points = list[Run](), list[str](), list[tuple[str, float]]()
     for run, gone, bad in zip(survey.runs, rejected, outlier, strict=True):
         label = f"{run.name} {run.direction}"
         # The run's own point nearest to each bad point of the grid.
         nearest = np.unique([int(np.abs(run.x - at).argmin()) for at in x[bad]]).astype(np.intp)
         left = np.delete(run.x, nearest)
-        if gone or left.size < guide.min_points or np.diff(left).max() > guide.max_gap + GRACE:
+        # For an end that is too far from another run's all would be refused.
+        widest = np.diff([start, *left, end]).max()
+        if gone or left.size < guide.min_points or widest > guide.max_gap + GRACE:
             lost.append(label)
             continue
         points += [(label, float(run.x[index])) for index in nearest]

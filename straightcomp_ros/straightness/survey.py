@@ -38,8 +38,8 @@ from straightcomp_ros.straightness.survey_table import (
     table_of,
 )
 
-GRACE = 1e-9
-"""Length in m by which a gap may be too wide: 0.05 m steps read from decimal text differ in the last bit."""
+GRACE = 1.01e-7
+"""Length in m by which a gap may be too wide: as much as x that is written to 0.1 µm differs from what was measured."""
 Groups = dict[tuple[str, Direction | None], list[tuple[int, float, float]]]
 """Points (line, x in m, deviation in m) by the name and the direction of their run."""
 

@@ -1,5 +1,6 @@
 """Maps of runs: which runs and points are rejected, and what is taken out of the mean."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +58,24 @@ def test_the_worst_run_goes_first_and_the_others_are_judged_anew_while_there_are
     assert not found[0].any() and not found[1].any()
 
 
-def test_a_run_that_a_rejected_point_leaves_with_too_few_is_rejected_so_that_the_map_can_be_read(tmp_path):
-    x = np.linspace(0.0, 0.4, 20)
-    values = 1e-5 * np.sin(8.0 * x) + np.random.default_rng(3).normal(0.0, 3e-8, (10, 20))
-    values[2, 10] += 3e-6
-    runs = (Run(str(n // 2), ("forward", "backward")[n % 2], x, one) for n, one in enumerate(values))
+@pytest.mark.parametrize(
+    ("step", "count", "first", "spikes"),
+    [
+        (0.02, 20, 0, [10]),
+        (0.04, 30, 0, [10]),
+        (0.04, 30, 0, [28, 29]),
+        # Where it begins itself the next point is near enough, but not where the others begin.
+        (0.03, 30, 1, [1]),
+    ],
+)
+def test_a_run_of_which_rejected_points_leave_too_little_is_rejected_so_that_the_map_can_be_read(
+    tmp_path, step, count, first, spikes
+):
+    x = step * np.arange(count)
+    values = 1e-5 * np.sin(8.0 * x) + np.random.default_rng(3).normal(0.0, 3e-8, (10, count))
+    values[2, spikes] += 3e-6
+    runs = [Run(str(n // 2), ("forward", "backward")[n % 2], x, one) for n, one in enumerate(values)]
+    runs[2] = replace(runs[2], x=x[first:], deviation=values[2, first:])
     built = build(Survey(tuple(runs)), Path(__file__), Choices(10e-3, 6.0))
     assert (built.rejected_runs, built.rejected_points) == (["1 forward"], [])
     built.write(tmp_path / "map.csv")

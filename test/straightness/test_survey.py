@@ -441,6 +441,12 @@ def test_the_grid_keeps_to_what_all_runs_cover():
     np.testing.assert_allclose(values[0], _bow(x), atol=1e-12)
 
 
+def test_a_survey_with_the_widest_gap_is_read_wherever_its_rounded_x_begins(tmp_path):
+    survey = Survey((_run("forward", x=0.01234565 + 0.05 * np.arange(24)),))
+    write_survey(tmp_path / "s.csv", survey)
+    assert read_survey(tmp_path / "s.csv").runs[0].x.size == 24
+
+
 def test_a_run_that_ends_a_point_early_is_kept_whatever_the_last_bit_of_its_x_says():
     steps = np.arange(25) / 20.0
     assert steps[-1] - steps[-2] > 0.05

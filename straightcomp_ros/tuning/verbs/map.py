@@ -49,6 +49,7 @@ from straightcomp_ros.tuning.survey.separation import separated
 
 SUMMARY = "build the map of the guide from a survey, convert surveys, export a controller's error table"
 PURPOSE = "set up"
+_REJECTED = "is rejected: it differs from the others, or its outliers leave too little of it"
 _OF_BAG = ("position", "sensor", "unit", "delay", "on_platform")
 _OF_CSV = ("x_column", "deviation_column")
 """Options that say how one kind of source is read, None where they are not given."""
@@ -136,7 +137,7 @@ def _build(options: argparse.Namespace) -> None:
         return
     console.print(figures_table(f"Survey {built.straightness.survey.source}", built.figures()))
     for name in built.rejected_runs:
-        notes.print(f"run {name} is rejected: it differs from the others")
+        notes.print(f"run {name} {_REJECTED}")
     for name, x in built.rejected_points[:20]:
         notes.print(f"run {name}: the point at x = {x * 1e3:.1f} mm is rejected")
     if len(built.rejected_points) > 20:
@@ -458,7 +459,7 @@ def _align(options: argparse.Namespace) -> None:
         kept, rejected, _ = agreeing(read, OUTLIERS, guide)
         strokes += kept
         for name in rejected:
-            notes.print(f"{source}: run {name} is rejected: it differs from the others")
+            notes.print(f"{source}: run {name} {_REJECTED}")
     if options.residual:
         strokes = [
             replace(run, deviation=run.deviation + straightness.deviations(run.x, run.direction)) for run in strokes
