@@ -29,9 +29,12 @@ from straightcomp_ros.straightness.survey_table import DIRECTIONS, WAYS, SurveyE
 from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(
-    r"(?<![a-z])(?:angular|pitch|yaw|roll(?![a-z])|rotary|flatness|squareness|dynamic|diagonal|velocity)", re.IGNORECASE
+    r"angular|pitch|yaw|roll(?!er)|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE
 )
-_SAYS_THE_KIND = re.compile(r"type\b|measurement|(?<![a-z])mode(?![a-z])")
+_SAYS_THE_KIND = re.compile(
+    r"(?!(?:machine|stage|controller)[\W_]*type|measurement[\W_]*location).*(?:type|measurement|mode(?!l))"
+)
+"""Of the names in a file: not those of the machine's own type and place."""
 _BLOCK = re.compile(r"position\s+(bidirectional|forward|reverse|backward)[\w\s]*error.*", re.IGNORECASE)
 
 
@@ -118,7 +121,7 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
 
 
 def _refuse_other_kinds(where: str, name: str, value: str) -> None:
-    if _SAYS_THE_KIND.search(name) and _OTHER_KINDS.search(value):
+    if _SAYS_THE_KIND.match(name) and _OTHER_KINDS.search(value):
         raise SurveyError(f"{where}: the measurement is {value.strip()!r}; allowed: one of straightness")
 
 

@@ -182,7 +182,13 @@ def pos(*blocks):
         ("etalon", etalon().replace("{\n", "{ ").replace("\n}", " }"), PP),
         ("etalon", etalon() + etalon("EXX"), PP),
         ("renishaw", rtl(OUT_AND_BACK), PP),
-        ("renishaw", rtl(OUT_AND_BACK, "linear\nMachine type: crossed-roller stage\nModel: roll controller"), PP),
+        *(
+            ("renishaw", rtl(OUT_AND_BACK, f"linear\n{fact}"), PP)
+            for fact in (
+                *("Machine type: crossed-roller stage\nModel: roll controller", "Machine type: High-dynamic gantry"),
+                *("Measurement type: of a roller stage", "Measurement location: Roll shop 3"),
+            )
+        ),
         ("api", pos(("Bidirectional", 2 * UM), ("Forward Directional", UM), ("Reverse Directional", UM)), PP),
         ("api", pos(("Bidirectional", UM)), PP),
     ],
@@ -222,7 +228,10 @@ def test_runs_of_renishaw_and_the_mean_backward_of_api_alone_have_their_directio
         *(("etalon", etalon(error), f"--error {error}") for error in ("EXX", "YX")),
         ("renishaw", rtl(OUT_AND_BACK, "Angular"), ""),
         ("renishaw", rtl(OUT_AND_BACK, "linear\nFiletype: yaw"), ""),
-        ("renishaw", rtl(OUT_AND_BACK, "linear\nTest mode: roll_error"), ""),
+        *(
+            ("renishaw", rtl(OUT_AND_BACK, f"linear\n{fact}"), "")
+            for fact in ("Test mode: roll_error", "Measurement: RollAngle", "Type: ZRoll", "error_type_1: yaw")
+        ),
         ("renishaw", rtl(OUT_AND_BACK, count=25), ""),
         ("renishaw", rtl([*OUT_AND_BACK, (1, 3, 9.0)]), ""),
         ("renishaw", rtl(OUT_AND_BACK[:-1]), ""),
