@@ -91,9 +91,11 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
     steps = np.diff(found.x) * 1e3
     unequal = f" ({steps.min():.4g} to {steps.max():.4g})" if np.ptp(steps) > 0.01 else ""
     spacing = f"{np.median(steps):.4g} mm{unequal}"
-    yield "points", f"{len(found.x)}, spacing {spacing}"
     # The map's file says it: of one that was made before, nothing is rejected any more.
-    yield "outliers", built.provenance.get("runs", "").partition("; ")[2] or "not stated"
+    stated = built.provenance.get("runs", "").partition("; rejected runs: ")[2]
+    lost_runs, _, lost_points = stated.rpartition("; rejected points: ")
+    yield "rejected runs", lost_runs or "not stated"
+    yield "points", f"{len(found.x)}, spacing {spacing}; rejected: {lost_points or 'not stated'}"
     yield "x", f"{figures['first_mm']:.6g} to {figures['last_mm']:.6g} mm"
     for one in built.statements:
         value, uncertainty = one.value * 1e6, one.expanded_uncertainty * 1e6

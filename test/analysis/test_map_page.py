@@ -74,4 +74,4 @@ def test_rejected_runs_and_points_are_drawn_where_they_were_measured_and_named_b
     built.write(tmp_path / "map.csv")
     map_page.plot_map(as_it_is(MapParameters(file=str(tmp_path / "map.csv"))), Path("map.png"))
     for page in map(facts, drawn):
-        assert {"5 forward, 0 backward", "rejected runs: 4 forward; rejected points: 1"} <= {*page}
+        assert {"5 forward, 0 backward", "4 forward", "41, spacing 10 mm; rejected: 1"} <= {*page}

@@ -63,11 +63,14 @@ def test_only_strokes_with_that_map_make_the_proposal(pool):
     assert provenance["changes"].startswith("map survey_synthetic.csv, BLAKE2b")
 
 
-def test_a_proposal_counts_x_from_the_old_maps_reference(pool, tmp_path):
+def test_a_proposal_is_of_the_old_maps_machine_and_reference_but_not_of_its_day(pool, tmp_path):
     old, new = tmp_path / "old.csv", tmp_path / "new.csv"
-    old.write_text(f"# encoder reference: index 3\n{OLD.read_text()}")
+    head = "# encoder reference: index 3\n# machine: M1\n# measured: 2025-01-02\n# operator: A. B.\n# sensor: S\n"
+    old.write_text(head + OLD.read_text())
     proposal_of(rows(pool, map_checksum=checksum_of([old.read_bytes()])), old=old).built.write(new)
-    assert read_survey(new).mark == "index 3"
+    facts = read_survey(new).facts
+    assert (facts["encoder reference"], facts["machine"]) == ("index 3", "M1")
+    assert not {"measured", "operator", "sensor"} & facts.keys()
 
 
 def test_jogs_make_no_proposal_and_change_none(pool):

@@ -23,8 +23,8 @@ from straightcomp_ros.fleet.maintenance.day_levels import GUIDE_BINS, on_one_gri
 from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
-from straightcomp_ros.straightness.survey import Run, read_survey
-from straightcomp_ros.straightness.survey_table import WAYS
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey
+from straightcomp_ros.straightness.survey_table import MARK, WAYS
 
 if TYPE_CHECKING:
     import pyarrow
@@ -34,6 +34,8 @@ _RUNS = 5
 """Each way: ISO 230-2 asks for five."""
 _OFTEN = 3
 """Readings each way from which a place belongs to the whole strokes: one or two were of strokes that went farther."""
+_OF_MACHINE = ("machine", MARK)
+"""What the old map says that is true of the new one too: not when, by whom and with what it was measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,8 @@ def proposed_map(strokes: pyarrow.Table, old: Path, days: float, guide: MapParam
         "changes": f"map {old.name}, BLAKE2b {checksum}",
     }
     choices = Choices(step=1e-3 * BIN_MM, limit=OUTLIERS, guide=guide)
-    built = build(replace(before.survey, runs=tuple(runs)), old, choices, inputs)
+    facts = {name: text for name, text in before.survey.facts.items() if name in _OF_MACHINE}
+    built = build(Survey(tuple(runs), str(old), facts), old, choices, inputs)
     made = built.provenance["made by"].replace("map build", "history map")
     built = replace(built, provenance={**built.provenance, "made by": made})
     at = built.straightness.report.x
