@@ -441,9 +441,11 @@ class CellSequence:
         yield from self._switching_off()
 
     def _stopping(self) -> Iterator[None]:
+        # A motion that was asked for may still begin.
+        within = _REPORTED_WITHIN_S if self.movements.waits else _RECEIVED_S
         self.movements.forget()
         # Without samples it cannot be seen that the stage stands.
-        while self.seen.fresh and not (self._overdue(_RECEIVED_S) and self.seen.at_rest):
+        while self.seen.fresh and (self._jog or not (self._overdue(within) and self.seen.at_rest)):
             if self._due():
                 self.machine.request("driver/end_motion")
             yield

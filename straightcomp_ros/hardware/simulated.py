@@ -23,7 +23,7 @@ from straightcomp_ros.parameters.declaration import group, parameter
 from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 from straightcomp_ros.straightness.feedforward import follower
-from straightcomp_ros.straightness.guide_map import StraightnessMap
+from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 
 _AT_INDEX_NS = 10_000_000
 _INDEX_M = 1e-9
@@ -71,10 +71,10 @@ class SimulatedParameters:
 
 
 def switched_on_at(stage: StageParameters, guide: StraightnessMap) -> float:
-    """Where a simulated stage stands when it is switched on, m: at zero, or if neither the guide nor its run-out is
-    there, where its strokes start."""
-    (first, last), runout = guide.span, stage.guide.runout
-    return 0.0 if first - runout <= 0.0 <= last + runout else stage.motion.start
+    """Where a simulated stage stands when it is switched on, m: at zero, or where its strokes start if zero is not on
+    the map and the true guide, with their run-out."""
+    spans, runout = (guide.span, load_map(stage.guide).span), stage.guide.runout
+    return 0.0 if all(first - runout <= 0.0 <= last + runout for first, last in spans) else stage.motion.start
 
 
 class SimulatedHardware(Hardware):

@@ -13,7 +13,7 @@ from straightcomp_ros.control.excitation import Injection, made_injection
 from straightcomp_ros.control.law import Command, Law
 from straightcomp_ros.control.laws import OPEN_LOOP, make_law, prepare_all
 from straightcomp_ros.control.learning import Learning
-from straightcomp_ros.control.margins import missing_margin
+from straightcomp_ros.control.margins import NotLinear, missing_margin
 from straightcomp_ros.control.pairing import Pairing
 from straightcomp_ros.control.servo import FADE_TIME, Servo
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -135,13 +135,16 @@ class ControllerComponent:
             self._trip(Fault.FOLLOWING_ERROR, f"excitation in open loop: {reason}")
 
     def _made(self, parameters: ControllerNodeParameters) -> Law:
-        """The law of these parameters; ParameterError if it lacks a margin that they require."""
+        """The law of these parameters; ParameterError if it lacks a margin that they require, or cannot be made."""
         missing = missing_margin(parameters.control, parameters.stage)
         if missing is not None:
             if parameters.control.margins == "require":
                 raise ParameterError(f"{missing}; 'control.margins' set to 'warn' uses these")
             self._node.get_logger().warning(missing)
-        return make_law(parameters.control, parameters.stage).prepare()
+        try:
+            return make_law(parameters.control, parameters.stage).prepare()
+        except NotLinear as error:
+            raise ParameterError(str(error)) from error
 
     def deactivate(self) -> None:
         """Stop publishing commands, so that the driver switches off. Save what was learned."""

@@ -107,8 +107,7 @@ class ParameterChanges:
             if changed and self.prepare is not None:
                 self._refuse_fixed(changed)
                 self._take_over = self.prepare(parameters)
-        # A law that cannot be made is a ValueError.
-        except (*REFUSALS, ValueError) as error:
+        except REFUSALS as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

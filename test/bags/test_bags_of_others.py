@@ -363,7 +363,7 @@ def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_an
 
 
 def test_the_history_takes_other_names_of_topics(sample, tmp_path, verb):
-    bag = written(sample, tmp_path / "b" / "b_0.mcap", name=lambda topic: f"/machine{topic}s").parent
+    bag = written(sample, tmp_path / "b" / "b.mcap", name=lambda topic: f"/machine{topic}s").parent
     remap = [word for topic in LAYOUTS for word in ("--remap", f"{topic}:=/machine/{topic}s")]
     for options, added in (([], 0), (["--again", *remap], 1)):
         assert verb("history", "add", bag, "-o", tmp_path / "store", "--json", *options).json["added"] == added

@@ -183,6 +183,26 @@ def test_stop_and_abort_end_the_movement_where_it_can_rest_or_leave_it_and_the_n
             assert bench.seen.x == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("strokes", [0, 1])
+def test_a_motion_that_the_driver_begins_after_the_stop_is_not_left_without_compensation(strokes):
+    bench, late = Bench(), []
+    bench.idle()
+    bench.move = late.append
+    bench.give(Command.START, State.EXECUTE, strokes)
+    if not strokes:
+        bench.sequence.order(Order.JOG, 1000, lambda refusal: None)
+    while not late:
+        bench.tick()
+    assert not bench.sequence.command(Command.STOP)
+    for _ in range(12):
+        bench.tick()
+    bench.motion.begin(Trajectory(late[0]), round(bench.now * 1e9))
+    while bench.sequence.state is State.STOPPING:
+        bench.tick()
+        assert bench.seen.amplifier_on or bench.seen.stage.condition == "rest"
+    assert bench.sequence.state is State.STOPPED and bench.motion.over
+
+
 @pytest.mark.parametrize("unseen", [{"fresh": False, "amplifier_on": False}, {"amplifier_on": False}])
 def test_stop_asks_for_the_amplifier_off_though_it_seems_off_since_it_may_be_on_or_be_switched_on_yet(unseen):
     """Without samples, and while a slow driver has yet to answer a request to switch on."""

@@ -193,7 +193,7 @@ def test_a_change_during_a_fade_never_leaves_the_range_of_the_three_laws_and_end
     currents = steps(1)
     loop.change(laws[0], 10)
     currents += steps(5)
-    # The first fade is the second one's old law, and is stepped beyond its own end.
+    # The first fade is the second one's old law until it is over.
     loop.change(laws[1], 20)
     currents += steps(19)
     assert loop._law is not laws[1]

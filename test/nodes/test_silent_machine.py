@@ -185,4 +185,9 @@ def test_a_simulated_stage_stands_on_its_guide_and_at_zero_if_that_is_there(tmp_
     assert [machine.motion.position(0) for machine in machines] == [x, x, x]
     for machine in machines:
         machine.close()
+    # The true guide may be longer than the map.
+    longer, places = tmp_path / "longer.csv", np.linspace(-1.0, 1.0, 100)
+    write_survey(longer, one_run(places, 1e-6 * np.sin(10.0 * places)))
+    machine = make_hardware(from_mapping(DriverNodeParameters, {**given, "simulated.truth.guide": str(longer)}))
+    assert machine.motion.position(0) == x
     assert make_hardware(from_mapping(DriverNodeParameters, {**given, "lockstep": True})).motion.position(0) == start
