@@ -394,17 +394,19 @@ class ServiceClient:
 
 
 class RemoteParameters:
-    """All parameters of the nodes ``names`` in this node's namespace, as they are now: each node is asked when it is
-    available, and anew when it was started again; what is set later is heard.
+    """All parameters of the nodes ``names``, as they are now: each node is asked when it is available, and anew when it
+    was started again; what is set later is received. A name without a first slash is one in this node's namespace.
 
     Attributes:
-        values: the parameters by node and dotted name.
+        values: the parameters by node, as ``names`` has it, and dotted name.
     """
 
     def __init__(self, node: Node, names: Sequence[str]) -> None:
         self.values: dict[str, dict[str, object]] = {}
         self._node = node
         self._clients = {name: AsyncParameterClient(node, name) for name in names}
+        own = node.get_namespace().rstrip("/")
+        self._names = {name if name.startswith("/") else f"{own}/{name}": name for name in names}
         self._looks_left = dict.fromkeys(names, 0)
         self._answered: dict[str, set[bytes]] = {}
         """Of each node that has answered, its processes at that time."""
@@ -419,8 +421,8 @@ class RemoteParameters:
     def _look(self) -> None:
         processes: dict[str, set[bytes]] = {name: set() for name in self._clients}
         for one in self._node.get_publishers_info_by_topic(_PARAMETER_EVENTS):
-            if one.node_namespace == self._node.get_namespace() and one.node_name in processes:
-                processes[one.node_name].add(bytes(one.endpoint_gid))
+            if name := self._names.get(f"{one.node_namespace.rstrip('/')}/{one.node_name}"):
+                processes[name].add(bytes(one.endpoint_gid))
         for name, client in self._clients.items():
             if name in self._answered and processes[name] <= self._answered[name]:
                 continue
@@ -446,8 +448,8 @@ class RemoteParameters:
         client.list_parameters([], 10).add_done_callback(listed)
 
     def _on_event(self, event: ParameterEvent) -> None:
-        place, _, name = event.node.rpartition("/")
-        if name in self.values and (place or "/") == self._node.get_namespace():
+        name = self._names.get(event.node, "")
+        if name in self.values:
             deleted = {one.name for one in event.deleted_parameters}
             kept = {key: value for key, value in self.values[name].items() if key not in deleted}
             given = (*event.new_parameters, *event.changed_parameters)

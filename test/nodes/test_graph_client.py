@@ -272,7 +272,8 @@ def done(result):
     return future
 
 
-def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch):
+@pytest.mark.parametrize("name", ["driver", "/line/driver"])
+def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(monkeypatch, name):
     names = ListParameters.Response(result=ListParametersResult(names=["stage.rate"]))
     client = Mock(**{"get_parameters.return_value": done(GetParameters.Response(values=[RATE]))})
     # It is there after the first look, and its first request is never answered.
@@ -281,7 +282,7 @@ def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(mon
     monkeypatch.setattr(graph_client, "AsyncParameterClient", Mock(return_value=client))
     processes, node = [], Mock()
     node.get_namespace.return_value, node.get_publishers_info_by_topic.return_value = "/line", processes
-    remote = RemoteParameters(node, ["driver"])
+    remote = RemoteParameters(node, [name])
     ((_, look), _) = node.create_timer.call_args
 
     def asked():
@@ -289,7 +290,7 @@ def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(mon
             look()
         return client.list_parameters.call_count
 
-    assert asked() == 2 and remote.complete and remote.values == {"driver": {"stage.rate": 2000.0}}
+    assert asked() == 2 and remote.complete and remote.values == {name: {"stage.rate": 2000.0}}
     # Of a node that is started anew, another process is seen; that of another machine is none of ours.
     processes.append(SimpleNamespace(node_name="driver", node_namespace="/line_2", endpoint_gid=[1]))
     assert asked() == 2
@@ -300,12 +301,13 @@ def test_a_node_whose_response_was_lost_is_asked_again_until_it_has_answered(mon
     assert not remote.complete and asked() == 5 and remote.complete
 
 
-def test_parameters_of_another_node_follow_its_changes(participant):
+@pytest.mark.parametrize("name", ["driver", "/line/driver"])
+def test_parameters_of_another_node_follow_its_changes(participant, name):
     seen, changing = Node("seen", namespace="/line"), Node("driver", namespace="/line")
     other = Node("driver", namespace="/line_2")
     for node in (changing, other):
         node.declare_parameter("stage.rate", 2000.0)
-    remote = RemoteParameters(seen, ["driver"])
+    remote = RemoteParameters(seen, [name])
     executor = SingleThreadedExecutor()
     for node in (seen, changing, other):
         executor.add_node(node)
@@ -313,11 +315,11 @@ def test_parameters_of_another_node_follow_its_changes(participant):
     def until(condition):
         return comes_true(lambda: executor.spin_once(0.05) or condition())
 
-    assert until(lambda: remote.complete) and remote.values["driver"]["stage.rate"] == 2000.0
+    assert until(lambda: remote.complete) and remote.values[name]["stage.rate"] == 2000.0
     other.set_parameters([Parameter("stage.rate", value=10.0)])
     changing.set_parameters([Parameter("stage.rate", value=1000.0)])
-    assert until(lambda: remote.values["driver"]["stage.rate"] != 2000.0)
-    assert remote.values["driver"]["stage.rate"] == 1000.0
+    assert until(lambda: remote.values[name]["stage.rate"] != 2000.0)
+    assert remote.values[name]["stage.rate"] == 1000.0
     executor.shutdown()
     for node in (seen, changing, other):
         node.destroy_node()
