@@ -134,7 +134,9 @@ class LoggerComponent:
         self._topics: dict[str, RawQueue | BatchQueue] = {}
         self._silent: dict[str, Topic] = {}
         """Topics that have had no message yet."""
-        self._remote = RemoteParameters(node, parameters.nodes.split())
+        nodes = parameters.nodes.split()
+        self._expects_map = any(name.rpartition("/")[2] == "feedforward" for name in nodes)
+        self._remote = RemoteParameters(node, nodes)
         self._described: tuple[BagWriter, Mapping[str, Mapping[str, object]]] | None = None
         """The last bag that has the nodes' parameters, and those."""
         stamped = [node.resolve_topic_name(stream.topic) for stream in STREAMS]
@@ -293,8 +295,11 @@ class LoggerComponent:
         if self._described is not None and self._described[0] is bag:
             note_changes(bag, time.time_ns(), self._described[1], values)
         elif self._remote.complete or at_end:
-            if refusal := attach_parameters(bag, values):
+            refusal = attach_parameters(bag, values)
+            if refusal and self._expects_map:
                 self.node.get_logger().warning(refusal)
+            elif refusal:
+                self.node.get_logger().info(refusal)
         else:
             return
         self._described = bag, values

@@ -102,6 +102,9 @@ def test_what_comes_while_the_logger_is_inactive_is_not_lost(single, participant
     # Of no nodes' parameters there is one description too.
     with open(bag / "bag_0.mcap", "rb") as file:
         assert Counter(one.name for one in make_reader(file).iter_attachments())["parameters.yaml"] == 1
+    # A logger that is to record no feedforward does not warn of its absence.
+    said = [line for line in single.log("logger").read_text().splitlines() if "feedforward" in line]
+    assert said and not any("WARN" in line for line in said)
 
 
 def test_a_disk_that_is_nearly_full_ends_the_recording_with_a_whole_bag(single, tmp_path):
