@@ -131,3 +131,4 @@ def test_each_option_of_a_verb_that_writes_names_a_file_by_its_metavar_or_is_amo
         texts = [one for one in parser._actions if one.nargs != 0 and is_text(one) and one.dest not in WORDS]
         if any(one.dest == "force" for one in parser._actions):
             assert all(of_files.fullmatch(one.metavar or "") for one in texts), words
+        assert not any(of_files.fullmatch(one.metavar or "") for one in parser._actions if one.dest in WORDS), words
