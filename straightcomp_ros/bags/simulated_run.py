@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,8 @@ START_NS = 1_000_000_000
 
 class SimulatedRun:
     """Writes each sample with its answer; as a context manager it finishes the bag, also of a run that fails, and
-    removes it when the program is stopped (Ctrl-C). Stamps and times of reception are simulated time. Raises BagError
-    when the folder holds files or cannot be written.
+    removes it when the program is stopped (Ctrl-C), but for a folder that was there. Stamps and times of reception are
+    simulated time. Raises BagError when the folder holds files or cannot be written.
 
     Args:
         directory: the bag's folder; must be empty or absent.
@@ -29,6 +29,7 @@ class SimulatedRun:
     """
 
     def __init__(self, directory: Path, parameters: Mapping[str, Mapping[str, Any]], delay: float) -> None:
+        self._made = not Path(directory).exists()
         self._bag = BagWriter(directory)
         self._delay, self._applied = delay, 0.0
         self._last_ns: int | None = None
@@ -60,7 +61,13 @@ class SimulatedRun:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._bag.close()
-        if kind is not None and not issubclass(kind, Exception):
-            # Half of a run in simulated time would be taken for a whole one.
-            shutil.rmtree(self._bag.directory.resolve())
+        try:
+            self._bag.close()
+        finally:
+            if kind is not None and not issubclass(kind, Exception):
+                # Half of a run in simulated time would be taken for a whole one.
+                with suppress(OSError):
+                    for file in self._bag.directory.iterdir():
+                        file.unlink()
+                    if self._made:
+                        self._bag.directory.rmdir()

@@ -222,6 +222,9 @@ def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
         copy.mkdir()
         for one in [*paths, *found_beside(bag, paths)]:
             shutil.copyfile(one, copy / one.name)
+        if paths == [bag] and bag.suffix == ".db3" and bag.with_name("metadata.yaml").is_file():
+            # Its recorder came to its end, also where the list in metadata.yaml is of other files and was left out.
+            (copy / "metadata.yaml").touch()
         return copy
 
     def edit(name: str, data: bytes) -> bytes:

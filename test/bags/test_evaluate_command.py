@@ -1,12 +1,15 @@
 """`straightcomp evaluate` on finished, unfinished and damaged bags."""
 
 import random
+from unittest.mock import Mock
 
 import pytest
 from places import SMC
 from recorded_run import recorded_run
 from verbs import ran
 
+from straightcomp_ros.bags.simulated_run import SimulatedRun
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli import Terminated
 from straightcomp_ros.contract import DISPLACEMENT
 from straightcomp_ros.control.laws import ControlParameters
@@ -57,6 +60,19 @@ def test_of_a_simulation_that_is_stopped_in_the_second_stroke_no_bag_is_left(tmp
     monkeypatch.setattr(Simulation, "run", run)
     assert verb("simulate", "--bag", tmp_path / "run", "--strokes", 2, *OPTIONS).code != 0 and runs
     assert (tmp_path / "run").exists() == left
+
+
+@pytest.mark.parametrize("closing", [None, OSError("no space left"), KeyboardInterrupt()])
+def test_a_folder_that_was_there_stays_without_a_bag_whatever_happens_when_a_simulation_is_stopped(
+    tmp_path, monkeypatch, closing
+):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "link").symlink_to("mine")
+    with pytest.raises(type(closing or KeyboardInterrupt())), SimulatedRun(tmp_path / "link", {}, 1.0):
+        if closing:
+            monkeypatch.setattr(BagWriter, "close", Mock(side_effect=closing))
+        raise KeyboardInterrupt
+    assert (tmp_path / "link").is_symlink() and not list((tmp_path / "mine").iterdir())
 
 
 def test_a_topic_under_another_name_is_found_by_remap(bag, verb):

@@ -102,9 +102,17 @@ def in_a_log(tmp_path_factory):
         yield bag
 
 
-@pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.parametrize("alone", ["", "alone", "renamed"])
 def test_a_bag_of_sqlite_is_whole_in_its_incident(in_a_log, tmp_path, alone):
-    pack(next(in_a_log.glob("*.db3")) if alone else in_a_log, tmp_path / "a.zip", [])
+    bag = in_a_log
+    if alone:
+        bag = next(in_a_log.glob("*.db3"))
+    if alone == "renamed":
+        # As one file of several, it is not what metadata.yaml lists.
+        bag = tmp_path / "mine.db3"
+        for one in in_a_log.iterdir():
+            shutil.copyfile(one, tmp_path / one.name.replace("run.db3", bag.name))
+    pack(bag, tmp_path / "a.zip", [])
     (tmp_path / "opened").mkdir()
     unpack(tmp_path / "a.zip", tmp_path / "opened")
     there, here = (judged(one, {}).assessment for one in (in_a_log, tmp_path / "opened" / "bag"))
