@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis.record import Array
-from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_streams, set_back
 from straightcomp_ros.bags.recorded_nodes import recorded_parameters
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters, shipped_wire
@@ -80,12 +80,16 @@ def read_recording(bag: Path) -> Recording:
 
     Raises:
         BagError: the bag cannot be read.
-        IdentificationError: a stream is missing, the amplifier is never on long enough, or nothing moves.
+        IdentificationError: a stream is missing, its stamps go back, the amplifier is never on long enough, or nothing
+            moves.
     """
     streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)})
     for stream in (ENCODER, COMMAND):
         if stream.topic not in streams:
             raise IdentificationError(f"bag {bag}: has no messages on '{stream.topic}'; record driver and controller")
+        if back := set_back(streams[stream.topic].stamp):
+            text = f"the stamps on '{stream.topic}' go back by {back:.3g} s"
+            raise IdentificationError(f"bag {bag}: {text}: its clock was set back in the run; record again")
     encoder, commands = (streams[stream.topic].by_stamp() for stream in (ENCODER, COMMAND))
     x, y, current = (encoder.columns[name] for name in ("x", "y", "coil_current"))
     current = advanced(current, readback_lag(bag))

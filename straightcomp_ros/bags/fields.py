@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_streams
+from straightcomp_ros.bags.reader import Messages, decoded, read_messages, read_streams, set_back
 from straightcomp_ros.bags.topics import Definition, new_typestore, typestore
 from straightcomp_ros.contract import DISPLACEMENT, STREAMS
 from straightcomp_ros.messages.cdr import NANOSECONDS, Layout, LayoutMismatch
@@ -25,8 +25,6 @@ _IDL_HEAD = re.compile(r"={80}\nIDL: .*\n")
 _LATEST_NS = (1 << 63) - 1
 _LONGEST_GAP_NS = 100_000_000
 """Time between two samples up to which their values are interpolated."""
-_SET_BACK_NS = 20_000_000
-"""A stamp that is so far below an earlier one has no delay on its way: `evaluate` notices as much."""
 _STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\]]+)\])?")
 
 
@@ -85,9 +83,8 @@ def read_field(bag: Path, field: Field) -> FieldValues:
         stamp, values, stamped = stream.stamp, stream.columns[column], True
     else:
         stamp, values, stamped = _decoded_values(bag, field, messages)
-    back = int(np.max(np.maximum.accumulate(stamp) - stamp))
-    if back > _SET_BACK_NS:
-        text = f"the stamps on '{messages.topic}' go back by {back * 1e-9:.3g} s and are put in order"
+    if back := set_back(stamp):
+        text = f"the stamps on '{messages.topic}' go back by {back:.3g} s and are put in order"
         remedy = "if the clock was set back, readings of two places are mixed: record again"
         warnings.warn(f"bag {bag}: {text}; {remedy}", stacklevel=2)
     stamp, first = np.unique(stamp, return_index=True)

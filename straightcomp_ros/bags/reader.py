@@ -285,6 +285,16 @@ def read_metadata(bag: Path) -> dict[str, dict[str, str]]:
     return found
 
 
+_SET_BACK_NS = 20_000_000
+"""A stamp that is so far below an earlier one has no delay on its way: `evaluate` notices as much."""
+
+
+def set_back(stamps: NDArray[np.int64]) -> float:
+    """Time in s by which ``stamps`` (n,) in ns, in the order of recording, go back; 0 where that may be a delay."""
+    back = int(np.max(np.maximum.accumulate(stamps) - stamps))
+    return back * 1e-9 if back > _SET_BACK_NS else 0.0
+
+
 def values_at(stream: StreamColumns | None, name: str, stamps: NDArray[np.int64]) -> NDArray[np.float64]:
     """Column ``name`` of ``stream`` at ``stamps`` (n,) in ns, (n,); NaN where it has none, or is not there. Of messages
     with the same stamp the first counts."""

@@ -80,11 +80,12 @@ def test_a_current_that_no_amplifier_explains_is_interpolated():
     np.testing.assert_allclose(path.before[:-1] + path.after[:-1], noise[:-1] + noise[1:])
 
 
-def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0), parameters=""):
-    """A bag of encoder and command at 2 kHz."""
+def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0), parameters="", back=0):
+    """A bag of encoder and command at 2 kHz, whose clock is set back by ``back`` samples in its middle."""
     numbers = {ENCODER: lambda k: (0.0, y[k], math.nan, current[k]), COMMAND: lambda k: (0.01,)}
+    stamp = lambda k: 10**9 + 500_000 * (k - back * (2 * k > len(y)))  # noqa: E731
     kept = ((stream, k) for k in range(len(y)) if k not in lost for stream in streams)
-    return bag_of_rows(bag, ((stream, 10**9 + 500_000 * k, numbers[stream](k)) for stream, k in kept), parameters)
+    return bag_of_rows(bag, ((stream, stamp(k), numbers[stream](k)) for stream, k in kept), parameters)
 
 
 MOVING = 1e-5 * np.sin(np.arange(5000) / 100.0)
@@ -97,9 +98,10 @@ ON = np.full(5000, 0.01)
         (MOVING, np.full(5000, math.nan), {}, "amplifier is off throughout .* record with the amplifier on"),
         (np.where(np.arange(5000) % 2, 1e-7, 0.0), ON, {}, "nothing moves: the platform stays within 0.1 µm.*>= 2 µm"),
         (MOVING, ON, {"streams": (ENCODER,)}, "no messages on 'command'"),
+        (MOVING, ON, {"back": 1000}, "'encoder' go back by 0.5 s"),
         (MOVING[:3000], ON[:3000], {"lost": range(1500, 1510)}, "no sample lost has 1490 samples; allowed: >= 2000"),
     ],
-    ids=["amplifier off", "nothing moves", "no commands", "a short stretch between losses"],
+    ids=["amplifier off", "nothing moves", "no commands", "clock set back", "a short stretch between losses"],
 )
 def test_a_bag_that_cannot_be_identified_is_refused(tmp_path, y, current, others, words):
     bag = written(tmp_path / "bag", y, current, **others)
