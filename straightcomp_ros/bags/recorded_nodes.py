@@ -136,6 +136,18 @@ def unpacked_map(attachments: Mapping[str, bytes], folder: Path) -> Path | None:
     return path
 
 
+def replayed_map(
+    bag: Path, attachments: Mapping[str, bytes], parameters: Mapping[str, Mapping[str, Any]], folder: Path
+) -> Path | None:
+    """As :func:`unpacked_map`, to compute a run again. Raises BagError where nothing says which map the run had: none
+    is attached, and among its ``parameters`` are none of a feedforward, which would name one."""
+    found = unpacked_map(attachments, folder)
+    if found is None and "feedforward" not in parameters:
+        text = "has neither the run's map nor parameters of its feedforward attached"
+        raise BagError(f"bag {bag}: {text}; record again with the feedforward among the logger's 'nodes'")
+    return found
+
+
 def read_reports(bag: Path) -> dict[str, list[Report]]:
     """What each node reported, by the node's name without its namespace, in the order of recording; empty for a bag
     without diagnostics.

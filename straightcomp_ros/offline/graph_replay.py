@@ -15,7 +15,7 @@ import numpy as np
 
 from straightcomp_ros.analysis.interruption import PAUSE
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
-from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import parameters_of, replayed_map
 from straightcomp_ros.cell.launcher import SLACK_S, Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.parameters.output_files import write_whole
@@ -69,7 +69,7 @@ def replay_through_graph(
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         values = {name: _of_no_machine(recorded.get(name, {}), Path(folder)) for name in _PLAYED_TO[:2]}
-        survey = unpacked_map(attachments, Path(folder))
+        survey = replayed_map(bag, attachments, recorded, Path(folder))
         if survey is not None:
             values["feedforward"]["stage.guide.file"] = str(survey)
         values["controller"]["trigger"] = "lockstep"

@@ -14,7 +14,7 @@ from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import ARRIVED, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.bags.recorded_nodes import parameters_of, unpacked_map
+from straightcomp_ros.bags.recorded_nodes import parameters_of, replayed_map
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import Run, simulated_run
@@ -50,7 +50,7 @@ def what_if(
     Raises:
         BagError, MetricsError: the bag is refused, or its stage does not move.
         ParameterError: a parameter is refused.
-        SurveyError: the map is neither attached nor found, or is refused.
+        SurveyError: the map is not attached and not found, or is refused.
     """
     evaluation = evaluate_bag(bag, remap)
     attachments = read_attachments(bag)
@@ -61,7 +61,7 @@ def what_if(
     verdict = partial or verdict_of(judged_motion(record, record.reference, parameters, evaluation.map, *late))
     runs = [Run(record.law, evaluate(record, record.reference, evaluation.map), verdict)]
     with tempfile.TemporaryDirectory() as folder:
-        survey = unpacked_map(attachments, Path(folder))
+        survey = replayed_map(bag, attachments, parameters, Path(folder))
         values = _recorded_values(parameters, evaluation, survey)
         motion = _recorded_motion(record)
         runs.append(_simulated(values, motion))

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rewritten_bag
+import yaml
 from bag_of_rows import bag_of_rows
 from recorded_run import recorded_run
 from rewritten_bag import rewritten
@@ -246,6 +247,23 @@ def test_nothing_is_computed_again_with_parameters_that_the_run_did_not_have(bag
     output = () if options != "--graph" else ("-o", tmp_path / "replay")
     found = verb("replay", rewritten(bag, tmp_path / "new", unchanged, lambda *_: None), *options.split(), *output)
     assert found.code == 1 and "parameters are not attached" in found.err
+
+
+@pytest.mark.parametrize("options", ["--law linear", "--set stage.platform.mass=3", "--graph"])
+def test_a_run_of_which_nothing_names_the_map_is_not_computed_again_with_another_map(bag, tmp_path, verb, options):
+    if options == "--graph":
+        pytest.importorskip("rclpy")
+
+    def edit(name, data):
+        sections = yaml.safe_load(data) if name == "parameters.yaml" else {}
+        sections.pop("feedforward", None)
+        return yaml.safe_dump(sections).encode() if sections else None
+
+    without = rewritten(bag, tmp_path / "new", unchanged, edit)
+    assert audit(without).passed
+    output = () if options != "--graph" else ("-o", tmp_path / "replay")
+    found = verb("replay", without, *options.split(), *output)
+    assert found.code == 1 and "feedforward" in found.err and "'nodes'" in found.err
 
 
 def test_a_file_that_was_written_in_another_order_is_verified_as_it_was_recorded(bag, tmp_path, monkeypatch):
