@@ -251,7 +251,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         # Every node of a machine reports there: others' messages do not make a run's samples unreadable.
         warnings.warn(f"faults of the run are not known: {error}", stacklevel=2)
         reports = {}
-    parameters = recorded_parameters(bag, attachments)
+    parameters = recorded_parameters(bag, attachments, remap)
     if changed:
         some = ", ".join(f"'{name}' {value}" for name, value in list(changed.items())[:_NAMED])
         more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""

@@ -33,26 +33,38 @@ _ONCE_SAMPLES = (("controller", "reference_lead"), ("driver", "simulated.sample_
 """Times that early bags have as whole numbers of samples."""
 
 
-def recorded_parameters(bag: Path, attachments: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
-    """Values by node and dotted name, under the present names; empty when none are attached.
+def recorded_parameters(
+    bag: Path, attachments: Mapping[str, bytes], remap: Mapping[str, str] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Values by node, without its namespace, and dotted name, under the present names; empty when none are attached.
 
-    The attachments are those of ``bag``, from :func:`straightcomp_ros.bags.reader.read_attachments`. Raises BagError
-    when they have a parameter file that is none, or that has a node of one name in two namespaces.
+    The attachments are those of ``bag``, from :func:`straightcomp_ros.bags.reader.read_attachments`. Of nodes of one
+    name that in the namespace of the encoder is taken, whose topic ``remap`` may name, or else that without a
+    namespace. Raises BagError when the parameter file is none, or has neither of them.
     """
     where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"
     try:
         sections = node_sections(attachments.get(PARAMETERS_ATTACHMENT) or b"{}")
     except ParameterError as error:
         raise BagError(f"{where}: {error}; record the bag again") from error
-    values: dict[str, dict[str, Any]] = {}
-    namespaces: dict[str, str] = {}
+    found: dict[str, dict[str, dict[str, Any]]] = {}
     for key, given in sections:
-        namespace, _, node = key.lstrip("/").rpartition("/")
-        if namespaces.setdefault(node, namespace) != namespace:
-            both = f"'{namespaces[node]}/{node}' and '{key}'"
-            raise BagError(f"{where}: has {both}; record the bag again with one of them in the logger's 'nodes'")
-        own = values.setdefault(node, {})
+        namespace, _, node = key.rpartition("/")
+        own = found.setdefault(node, {}).setdefault(namespace.strip("/*"), {})
         own |= {name: value for name, value in given.items() if not belongs_to_ros(name)}
+    home = ""
+    if any(len(places) > 1 for places in found.values()):
+        with opened(bag) as files:
+            encoder = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), topic_names(files), str(bag))
+        home = (encoder or "").rpartition("/")[0].strip("/")
+    values: dict[str, dict[str, Any]] = {}
+    for node, places in found.items():
+        if len(places) > 1 and not places.keys() & {home, ""}:
+            names = " and ".join(f"'/{namespace}/{node}'" for namespace in places)
+            text = f"has {names}, and none in the namespace of the encoder"
+            raise BagError(f"{where}: {text}; record the bag again with one of them in the logger's 'nodes'")
+        chosen = [places[one] for one in ("", home) if one in places] or places.values()
+        values[node] = {name: value for own in chosen for name, value in own.items()}
     for node, name in _ONCE_SAMPLES:
         own = values.get(node, {})
         if type(own.get(name)) is int and own.get("stage.rate"):
@@ -86,11 +98,14 @@ def noted_changes(files: Sequence[BagInput]) -> list[tuple[int, dict[str, str]]]
 
 
 def parameters_of(
-    bag: Path, attachments: Mapping[str, bytes], given: Mapping[str, Mapping[str, Any]] | None
+    bag: Path,
+    attachments: Mapping[str, bytes],
+    given: Mapping[str, Mapping[str, Any]] | None,
+    remap: Mapping[str, str] | None = None,
 ) -> Mapping[str, Mapping[str, Any]]:
     """As :func:`recorded_parameters`, or those that are ``given`` for a bag that has none of the controller attached.
     Raises BagError for a bag that has none and is given none, and for one that has both: only one can be the run's."""
-    found = recorded_parameters(bag, attachments)
+    found = recorded_parameters(bag, attachments, remap)
     if "controller" in found:
         if given is not None:
             text = "has the parameters of its run attached; --params-file is for a bag without them"
@@ -109,10 +124,11 @@ def attach_parameters(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -
 
     sections = {node: {PARAMETERS: dict(own)} for node, own in values.items() if own}
     bag.attach(PARAMETERS_ATTACHMENT, "application/yaml", dump_yaml(sections).encode())
-    feedforward = next((own for node, own in values.items() if node.rpartition("/")[2] == "feedforward"), None)
-    if feedforward is None:
-        return "the map is not attached to the bag: no feedforward among the logger's 'nodes' has answered"
-    given = under("stage.guide.", feedforward)
+    feedforwards = [own for node, own in values.items() if node.rpartition("/")[2] == "feedforward"]
+    if len(feedforwards) != 1:
+        count = "several feedforwards" if feedforwards else "no feedforward"
+        return f"the map is not attached to the bag: {count} among the logger's 'nodes' answered"
+    given = under("stage.guide.", feedforwards[0])
     try:
         path = find_survey(str(given.get("file", MapParameters().file)))
         data = path.read_bytes()

@@ -89,7 +89,7 @@ def audit(
         if stream.topic not in streams:
             raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; an audit needs all four of the loop")
     with opened(bag) as files:
-        values = parameters_of(bag, attachments_of(files), given)
+        values = parameters_of(bag, attachments_of(files), given, remap)
         changes = [
             when for when, changed in noted_changes(files) if any(name.startswith("controller.") for name in changed)
         ]

@@ -62,7 +62,7 @@ def replay_through_graph(
     """
     streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)}, remap)
     attachments = read_attachments(bag)
-    recorded = parameters_of(bag, attachments, given)
+    recorded = parameters_of(bag, attachments, given, remap)
     stamps = streams[ENCODER.topic].stamp if ENCODER.topic in streams else np.zeros(1, np.int64)
     duration = float(np.diff(stamps).clip(0, PAUSE * 1e9).sum()) * 1e-9
     new = output / "bag"

@@ -55,7 +55,7 @@ def what_if(
     evaluation = evaluate_bag(bag, remap)
     attachments = read_attachments(bag)
     record = evaluation.record
-    parameters = parameters_of(bag, attachments, given)
+    parameters = parameters_of(bag, attachments, given, remap)
     partial = evaluation.partial()
     late = evaluation.stalls, evaluation.latency, evaluation.readings
     verdict = partial or verdict_of(judged_motion(record, record.reference, parameters, evaluation.map, *late))

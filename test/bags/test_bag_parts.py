@@ -16,9 +16,9 @@ from straightcomp_ros.bags.folder import SqliteInput, found_files, opened
 from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import attach_parameters, note_changes, noted_changes, recorded_parameters
-from straightcomp_ros.bags.topics import TopicQos, definition, resolved
+from straightcomp_ros.bags.topics import Topic, TopicQos, definition, resolved
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import STREAMS
+from straightcomp_ros.contract import ENCODER, STREAMS
 
 MESSAGE, OTHER = 5, 4
 
@@ -156,12 +156,34 @@ def test_parameters_of_ros_itself_are_not_those_of_a_node():
             recorded_parameters("bag", {"parameters.yaml": wrong})
 
 
-def test_the_nodes_of_two_machines_in_a_bag_are_not_taken_for_those_of_one():
-    two = "{0}: {{ros__parameters: {{a: 1}}}}\n{1}: {{ros__parameters: {{b: 2}}}}\n"
-    with pytest.raises(BagError, match="'one/driver' and '/two/driver'"):
-        recorded_parameters("bag", {"parameters.yaml": two.format("/one/driver", "/two/driver").encode()})
-    found = recorded_parameters("bag", {"parameters.yaml": two.format("driver", "/driver").encode()})
-    assert found == {"driver": {"a": 1, "b": 2}}
+ONE, TWO, BOTH = {"a": 1}, {"b": 2}, {"a": 1, "b": 2}
+
+
+@pytest.mark.parametrize(
+    ("nodes", "encoders", "found"),
+    [
+        ("/one/driver /two/driver", "/two/encoder", TWO),
+        ("/one/driver /two/driver", "/one/encoder /two/encoder", ONE),  # the first of them is asked for
+        ("/one/driver /two/driver", "/encoder", None),
+        ("/one/driver /two/driver", "", None),
+        ("driver /two/driver", "/encoder", ONE),
+        ("driver /two/driver", "/one/encoder", ONE),  # that of the logger's own namespace
+        ("driver /driver", "", BOTH),
+        ("/**/driver driver", "", BOTH),
+        ("/**/driver /two/driver", "/two/encoder", BOTH),
+    ],
+)
+def test_the_nodes_of_two_machines_in_a_bag_are_not_taken_for_those_of_one(tmp_path, nodes, encoders, found):
+    with BagWriter(tmp_path / "bag") as bag:
+        for name in encoders.split():
+            bag.add(Topic(name, ENCODER.layout.type_name))
+    text = "{}: {{ros__parameters: {{a: 1}}}}\n{}: {{ros__parameters: {{b: 2}}}}\n".format(*nodes.split())
+    given = tmp_path / "bag", {"parameters.yaml": text.encode()}, {"encoder": encoders.split()[0]} if encoders else {}
+    if found:
+        assert recorded_parameters(*given) == {"driver": found}
+    else:
+        with pytest.raises(BagError, match="'/one/driver' and '/two/driver'"):
+            recorded_parameters(*given)
 
 
 SURVEYS = [str(REPOSITORY / "config" / f"{name}_synthetic.csv") for name in ("survey", "guide")]
@@ -173,6 +195,7 @@ SURVEYS = [str(REPOSITORY / "config" / f"{name}_synthetic.csv") for name in ("su
         ({"feedforward": {"stage.guide.file": SURVEYS[1]}}, SURVEYS[1]),
         ({"/a/driver": {}, "/a/feedforward": {"stage.guide.file": SURVEYS[1]}}, SURVEYS[1]),
         ({"feedforward": {}}, SURVEYS[0]),
+        ({"feedforward": {}, "/a/feedforward": {}}, None),
         ({"driver": {"stage.guide.file": SURVEYS[1]}}, None),
         ({}, None),
     ],
