@@ -29,7 +29,7 @@ from straightcomp_ros.straightness.survey_table import DIRECTIONS, WAYS, SurveyE
 from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(
-    r"angular|pitch|yaw|roll(?!er)|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE
+    r"angular|pitch|yaw|roll(?!ers?(?![a-z]))|rotary|flatness|squareness|dynamic|diagonal|velocity", re.IGNORECASE
 )
 _SAYS_THE_KIND = re.compile(
     r"(?!(?:machine|stage|controller)[\W_]*type|measurement[\W_]*location).*(?:type|measurement|mode(?!l))"

@@ -186,7 +186,8 @@ def pos(*blocks):
             ("renishaw", rtl(OUT_AND_BACK, f"linear\n{fact}"), PP)
             for fact in (
                 *("Machine type: crossed-roller stage\nModel: roll controller", "Machine type: High-dynamic gantry"),
-                *("Measurement type: of a roller stage", "Measurement location: Roll shop 3"),
+                *("Measurement type: of a stage on rollers", "Measurement location: Roll shop 3"),
+                "Measurement type: of a roller stage",
             )
         ),
         ("api", pos(("Bidirectional", 2 * UM), ("Forward Directional", UM), ("Reverse Directional", UM)), PP),
@@ -230,7 +231,10 @@ def test_runs_of_renishaw_and_the_mean_backward_of_api_alone_have_their_directio
         ("renishaw", rtl(OUT_AND_BACK, "linear\nFiletype: yaw"), ""),
         *(
             ("renishaw", rtl(OUT_AND_BACK, f"linear\n{fact}"), "")
-            for fact in ("Test mode: roll_error", "Measurement: RollAngle", "Type: ZRoll", "error_type_1: yaw")
+            for fact in (
+                *("Test mode: roll_error", "Measurement: RollAngle", "Measurement: RollError", "Type: rollerror"),
+                *("Type: ZRoll", "error_type_1: yaw"),
+            )
         ),
         ("renishaw", rtl(OUT_AND_BACK, count=25), ""),
         ("renishaw", rtl([*OUT_AND_BACK, (1, 3, 9.0)]), ""),
