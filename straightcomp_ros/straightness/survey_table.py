@@ -127,11 +127,12 @@ DIRECTIONS: dict[str, Direction] = {
 }
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
-_UNSURE = {"back", "forth", "return"}
-"""Words for a direction that may mean either."""
 _UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
 """What stands in place of a unit: ``[]``, ``(-)``, ``[microns]``."""
-_COMPUTED = {*["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "sigma", "σ", "ø"]}
+_COMPUTED = {
+    *["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "s", "sigma", "σ", "ø"],
+    *["repeatability", "uncertainty"],
+}
 """What names a figure of runs among the columns of runs."""
 _RUN = re.compile(rf"(deviation_(?:{'|'.join(PER_METRE)})) \((?:(forward|backward) )?run(?: \d+)?\)")
 """What :func:`_of_run` makes of a run's column."""
@@ -207,7 +208,9 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
-    if not runs and not (names or {}).get("deviation") and sum(map(_may_be_run, header)) > 1:
+    positions = {x.partition("_")[2]} - {deviation.partition("_")[2]}
+    known = bool(runs) or deviation in own.values() or {"run", "direction"} <= {*header}
+    if not known and sum(_unit_of_run(name) not in (None, *positions) for name in header) > 1:
         raise SurveyError(
             f"{header_line}: {deviation} stands among columns of runs; remove it, or choose it by --deviation-column"
         )
@@ -356,11 +359,14 @@ def _columns_of_runs(header: Sequence[str]) -> dict[int, tuple[str, str]]:
     return found if alike and not other else {}
 
 
-def _lacks_unit(name: str) -> bool:
-    """Whether a column of this name is that of a run by its number or direction, but has no unit that is known."""
-    _, ways, others = _parts_of_run(f"{_UNKNOWN_UNIT.sub('', name)} m")
-    words = [one for one in others if one not in _UNSURE]
-    return bool(ways or words) and max(len(ways), len(words)) < 2 and all(map(str.isdigit, words))
+def _unit_of_run(name: str) -> str | None:
+    """The unit, empty if unknown, of a column that is a run by its number or direction or has no name; or None."""
+    if (unit := _RUN.sub(lambda run: run[1].partition("_")[2], name).strip("[]()_ ")) in PER_METRE:
+        return unit
+    words, unit = _name_and_unit(name)
+    # Some words for a direction may mean either.
+    words = re.sub(r"(?<![a-z])(?:back|forth|return)(?![a-z])", "", words or _UNKNOWN_UNIT.sub("", name))
+    return unit if re.search(r"\d|ward", _of_run(f"{words} m")) else None
 
 
 def _unit_of_vague(name: str) -> str:
@@ -368,12 +374,6 @@ def _unit_of_vague(name: str) -> str:
     unit, ways, others = _parts_of_run(name)
     numbers = [one for one in others if one.isdigit()]
     return "" if max(len(ways), len(numbers)) > 1 or _COMPUTED.intersection(others) else unit
-
-
-def _may_be_run(name: str) -> bool:
-    """Whether a column of this name is that of a run, or may be by its number or direction."""
-    vague = _unit_of_vague(name) and re.search(rf"\d|{'|'.join(DIRECTIONS)}", name)
-    return bool(_RUN.fullmatch(name) or _lacks_unit(name) or vague)
 
 
 def _check_columns_of_runs(
@@ -385,16 +385,16 @@ def _check_columns_of_runs(
     for at, name in enumerate(header):
         if _RUN.fullmatch(name) and header.count(name) > 1:
             raise SurveyError(f"{where}: {name} is given twice; allowed: one column for each run, with its number")
-        # Right of a name that was given to several cells in one.
-        nameless = at > first and name.strip("[]() ") in ("", *PER_METRE)
-        nameless = nameless and any(re.fullmatch(r"[+-]?[\d.,]*\d", row[at].strip()) for *_, row in rows)
-        bare = _lacks_unit(name)
+        # Right of a name that was given to several cells in one; a total below the rows is no run.
+        nameless = at > first and name.strip("[]()_ ") in ("", *PER_METRE)
+        numbers = (re.fullmatch(r"[+-]?[\d.,]*\d", row[at].strip()) for *_, row in rows)
+        nameless = nameless and sum(map(bool, numbers)) > 0.25 * len(rows)
+        bare = _unit_of_run(name) == ""
         if nameless or bare or f"deviation_{_unit_of_vague(name)}" == unit:
             lack = " and has no name" if nameless else f" and has no unit of {', '.join(PER_METRE)}" if bare else ""
             raise SurveyError(
-                f"{where}: column '{at + 1 if nameless else name}' may be a run{lack}; "
-                f"allowed for a run: a unit, its number, and {', '.join(DIRECTIONS)}, + "
-                f"or -, as in 'Run 1 forward [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
+                f"{where}: column '{at + 1 if nameless else name}' may be a run{lack}; allowed for a run: a name such "
+                f"as 'Run 1 forward [µm]' or 'Run 1- [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
             )
 
 

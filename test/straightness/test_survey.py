@@ -136,7 +136,10 @@ TURNS = THERE + THERE[-2::-1]
             (f"x_mm,Run 1 [µm],{beside}", THREE, "line·1 may·be·a·run·and·has·no·unit")
             for beside in ("Run 2 back", "Run 2 []", "Run 2 [microns]")
         ),
-        *((f"x_mm;Run 1 [µm];{beside}", ["0;1;1,5"], "line·1 '3'·may·be·a·run") for beside in ("", "[µm]")),
+        *(
+            (names, ["0;1;1,5"], "'3'·may·be·a·run")
+            for names in ("x_mm;Run 1 [µm];", "x_mm;Run 1 [µm];[µm]", "Position;Run 1;\nmm;µm;µm")
+        ),
         *(
             (
                 f"{names},x_mm",
@@ -152,8 +155,11 @@ TURNS = THERE + THERE[-2::-1]
                 *("Remark,Run 1,Run 2,Deviation (µm)", "Remark,Run 1 back (µm),Run 1 forth (µm),Deviation (µm)"),
             )
         ),
-        ("Position,Run 1,Run 2,Straightness\nmm,µm,,µm", [f"{row},0" for row in THREE], "line·2 among·columns·of·runs"),
-        # Of columns of runs each is read or refused, and none takes the place of another.
+        *(
+            (f"Position,{names}", [f"{row},0" for row in THREE], "line·2 among·columns·of·runs")
+            for names in ("Run 1,Run 2,Straightness\nmm,µm,,µm", "Straightness,,\nmm,µm,µm,µm")
+        ),
+        # No column of a run takes the place of another.
         (
             COLUMNS,
             [*(f"{x},{x % 30},{x % 30},{x % 30}" for x in range(0, 240, 10)), "50,,7,"],
@@ -265,10 +271,25 @@ def test_an_empty_cell_in_the_column_of_a_run_is_no_point_and_one_column_may_be_
         ("x_mm,run 1 [um],deviation_um", {}),
         ("x_mm,run 1 [um],deviation_um,run 2 [um]", {"deviation": "deviation_um"}),
         ("direction,x_mm,run 1,deviation_um,mean of run [um]", {}),
+        *(
+            (f"Target (mm),{one} forward{unit},Straightness (µm),{one} backward{unit}", {})
+            for unit in (" (µm)", "")
+            for one in ("Repeatability", "s", "Uncertainty", "Mean")
+        ),
+        *(
+            (f"Target (mm),{one}forward (mm),Straightness (µm),{one}backward (mm)", {})
+            for one in ("", "Position ", "Actual position ", "Run 1 ")
+        ),
+        # Where each row says its run and direction, no column is one.
+        *(
+            (f"direction,x_mm,{one},deviation_um,{two},run", {})
+            for one, two in (("Forward", "Backward"), ("Pass 1", "Pass 2"), ("Run 1 (µm)", "Run 2 (µm)"))
+        ),
     ],
 )
 def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column_is_another_run(read, header, names):
-    first, after = "fwd," * header.startswith("direction"), ",7" * (header[-1] == "]")
+    first, after = "fwd," * header.startswith("direction"), ",7" * (header.count(",") - 2)
+    after = after.removesuffix(",7" * bool(first))
     (run,) = read(header, *(f"{first}{x},{x % 40},{x % 30}{after}" for x in range(0, 240, 10)), names=names).runs
     assert run.deviation.max() == pytest.approx(20e-6)
 
@@ -276,13 +297,18 @@ def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column
 @pytest.mark.parametrize(
     "beside",
     [
-        *("Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)"),
+        *("Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)", "s forward (µm)"),
         *("run 3 (0.1 µm)", "run 3 (µm/m)", "Temp run 1 (°C)", "Run 1 temperature", "Pass"),
     ],
 )
 def test_a_column_that_is_computed_of_runs_or_has_another_unit_or_no_number_is_no_run(read, beside):
     rows = (f"{x},{x % 30},{x % 40},7" for x in range(0, 240, 10))
     assert len(read(f"x_mm,Run 1 (µm),Run 2 (µm),{beside}", *rows).runs) == 2
+
+
+def test_a_total_in_a_column_without_a_name_is_no_run(read):
+    rows = (f"{x};{x % 30};{x % 40};{'3,2' * (x == 230)}" for x in range(0, 240, 10))
+    assert len(read("x_mm;Run 1 (µm);Run 2 (µm);", *rows).runs) == 2
 
 
 ROWS = [f"{x};{x % 30}" for x in range(0, 240, 10)]
