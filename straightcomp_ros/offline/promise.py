@@ -44,6 +44,8 @@ _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""
 _LONGEST_REST = 1.0
 """Time in s of rests that no figure depends on: before and after all strokes, and after a single one."""
+_LONGEST_PAUSE = 20.0
+"""Time in s of rests between strokes, of which more takes time and memory and only makes the promised RMS smaller."""
 _STROKES = 32
 """Drawn at most: few runs ask for them. Four left at most 0.23 µm, or 0.55 with the map rounded otherwise, where a
 sound run of a stage of 1 kg left 0.69."""
@@ -112,12 +114,15 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     made = min(len(ways), max(1, round(stroke / float(np.median(ways)))))
     steps = made if described.file else min(made, described.steps)
     if described.pause < SPEED_SPAN and not described.file:
-        # The record has them as one stroke.
-        steps = described.steps
+        # The record has steps as one stroke, which takes longer than one without them.
+        took = period * max(one.stop - one.start for one in record.motion.strokes)
+        limits = speed, described.acceleration, described.jerk
+        lasts = [n * _movement(stroke / n, *limits)[-1].time_ns * 1e-9 for n in (1, described.steps)]
+        steps = described.steps if took > 0.5 * sum(lasts) else steps
     rests = [following.start - one.stop for one, following in itertools.pairwise(record.motion.strokes)]
     rest = period * float(np.median(rests)) if rests else _LONGEST_REST
     # Two digits: strokes of one kind are then one motion.
-    pause = described.pause if described.pause <= rest else float(f"{rest:.2g}")
+    pause = min(described.pause if described.pause <= rest else float(f"{rest:.2g}"), _LONGEST_PAUSE)
     settle = min(described.settle, _LONGEST_REST)
     described = dataclasses.replace(described, file="", steps=steps, settle=settle, pause=pause)
     reached = _fastest(stroke, described.speed, described.acceleration, described.jerk)
@@ -141,7 +146,12 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
 
 def _fastest(way: float, speed: float, acceleration: float, jerk: float) -> float:
     """The speed in m/s that a movement of this length in m reaches."""
-    return max(abs(one.velocity) for one in move(Waypoint(0, 0.0, 0.0), way, speed, acceleration, jerk))
+    return max(abs(one.velocity) for one in _movement(way, speed, acceleration, jerk))
+
+
+def _movement(way: float, speed: float, acceleration: float, jerk: float) -> list[Waypoint]:
+    """The corners of a movement of this length in m, from rest to rest."""
+    return move(Waypoint(0, 0.0, 0.0), way, speed, acceleration, jerk)
 
 
 @lru_cache(maxsize=16)

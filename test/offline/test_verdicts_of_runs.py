@@ -211,8 +211,13 @@ def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_
         ({}, {"settle": 86400.0, "pause": 86400.0, "steps": 1000}, {"settle": 1.0, "pause": 0.51, "steps": 1}),
         ({"steps": 3}, {"steps": 3}, {"steps": 3, "pause": 0.5}),
         ({"pause": 20.0}, {"pause": 20.0}, {"pause": 20.0}),
-        # Without a rest between them, steps are one stroke of the record.
-        ({"steps": 10, "pause": 0.0}, {"steps": 10, "pause": 0.0}, {"steps": 10, "pause": 0.0}),
+        ({"pause": 60.0}, {"pause": 60.0}, {"pause": 20.0}),
+        # Without a rest between them, steps are one stroke of the record, as is a stroke that was made without any.
+        *(
+            ({"steps": steps} | motion, {"steps": 10, "pause": 0.0}, {"steps": steps, "pause": 0.0})
+            for steps in (1, 10)
+            for motion in ({"pause": 0.0}, {"pause": 0.0, "speed": 0.02}, {"pause": 0.01, "stroke": 0.02})
+        ),
         ({"start": 0.1, "stroke": 0.03, "steps": 3}, {"stroke": 1.0, "steps": 100}, {"stroke": 0.03, "steps": 3}),
         # A list of near positions far from the start.
         ({"file": "0.25\n0.2505\n0.251\n0.2515\n"}, {"file": "unknown"}, {"stroke": 0.2515, "steps": 5}),
