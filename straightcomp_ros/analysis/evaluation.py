@@ -4,7 +4,7 @@ import contextlib
 import math
 import tempfile
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from straightcomp_ros.analysis.record import AT_LIMIT, Array, MetricsError, Stro
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.fields import FieldValues
 from straightcomp_ros.bags.folder import BagInput, opened, topic_names
-from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of, values_at
+from straightcomp_ros.bags.reader import Messages, StreamColumns, attachments_of, streams_of_stage, values_at
 from straightcomp_ros.bags.recorded_nodes import (
     noted_changes,
     recorded_parameters,
@@ -201,18 +201,10 @@ def percentile_us(durations: Array, percentile: float) -> float:
     return float(np.percentile(durations, percentile)) * 1e6 if len(durations) else math.nan
 
 
-def _of_one_stage(names: Collection[str], encoder: str) -> set[str]:
-    """Those of a bag's topics that are not in the namespace of another stage, with an encoder of its own."""
-    space, _, own = encoder.rpartition("/")
-    others = {name.rpartition("/")[0] for name in names if name.rpartition("/")[2] == own == ENCODER.topic} - {space}
-    return {name for name in names if name.rpartition("/")[0] not in others}
-
-
-def _sensor(bag: Path, files: Sequence[BagInput], names: Collection[str]) -> dict[str, StreamColumns]:
-    """The stream of the displacement sensor, if it is among the topics ``names``."""
+def _sensor(bag: Path, files: Sequence[BagInput], remap: Mapping[str, str] | None) -> dict[str, StreamColumns]:
+    """The stream of the displacement sensor of the encoder's stage, if the bag has it."""
     try:
-        if full := resolved(DISPLACEMENT.topic, names, str(bag)):
-            return streams_of(bag, files, {DISPLACEMENT.topic: DISPLACEMENT.layout}, {DISPLACEMENT.topic: full})
+        return streams_of_stage(bag, files, [DISPLACEMENT], remap)
     except BagError as error:
         # The node of a survey is the user's, and may name its joint otherwise: the run can be judged without it.
         warnings.warn(f"the displacement sensor is left out: {error}", stacklevel=3)
@@ -228,18 +220,13 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     Raises:
         BagError: the bag cannot be read, or lacks encoder, reference or command.
     """
-    needed, theirs = (ENCODER, REFERENCE, COMMAND), dict(remap or {})
+    needed = (ENCODER, REFERENCE, COMMAND)
     with opened(bag) as files:
         names = topic_names(files)
-        encoder_topic = resolved(theirs.get(ENCODER.topic, ENCODER.topic), names, str(bag))
-        ours = _of_one_stage(names, encoder_topic or "")
-        for stream in (*needed, DRIVER_STATE, TRUTH):
-            if stream.topic not in theirs and (full := resolved(stream.topic, ours, str(bag))):
-                theirs[stream.topic] = full
-        wanted = [stream for stream in (*needed, DRIVER_STATE, TRUTH) if stream in needed or stream.topic in theirs]
+        encoder_topic = resolved((remap or {}).get(ENCODER.topic, ENCODER.topic), names, str(bag))
         diagnostics = Messages(topic_of_reports(bag, names, encoder_topic or ENCODER.topic) or DIAGNOSTICS)
-        streams = streams_of(bag, files, {stream.topic: stream.layout for stream in wanted}, theirs, [diagnostics])
-        streams |= _sensor(bag, files, ours)
+        streams = streams_of_stage(bag, files, (*needed, DRIVER_STATE, TRUTH), remap, [diagnostics])
+        streams |= _sensor(bag, files, remap)
         attachments = attachments_of(files)
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
         changed = {name: value for _, values in noted_changes(files) for name, value in values.items()}

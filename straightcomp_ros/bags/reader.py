@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import BagInput, SqliteInput, compressed_messages, opened, topic_names
 from straightcomp_ros.bags.mcap_input import FRAME, HEAD, rows
-from straightcomp_ros.bags.topics import Definition, Topic, resolved, typestore
+from straightcomp_ros.bags.topics import Definition, Topic, resolved, topics_of_stage, typestore
+from straightcomp_ros.contract import ENCODER, Stream
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, Layout, LayoutMismatch, read_by_names
 
 if TYPE_CHECKING:
@@ -246,6 +247,19 @@ def streams_of(
     if not count:
         raise BagError(f"bag {bag} has no messages; record again, and check that the topics are published")
     return streams
+
+
+def streams_of_stage(
+    bag: Path,
+    files: Sequence[BagInput],
+    streams: Sequence[Stream],
+    remap: Mapping[str, str] | None = None,
+    whole: Sequence[Messages] = (),
+) -> dict[str, StreamColumns]:
+    """As :func:`streams_of`, of several stages in the bag those of the one that has the encoder."""
+    theirs = topics_of_stage([one.topic for one in streams], topic_names(files), str(bag), remap)
+    layouts = {one.topic: one.layout for one in streams if one is ENCODER or one.topic in theirs}
+    return streams_of(bag, files, layouts, theirs, whole) if layouts else {}
 
 
 def _gather(files: Iterable[BagInput], takers: Mapping[str, Messages | StreamDecoder]) -> int:

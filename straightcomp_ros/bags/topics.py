@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import yaml
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.parameters.yaml_text import load_yaml
 
 if TYPE_CHECKING:
@@ -154,3 +155,26 @@ def resolved(name: str, topics: Collection[str], bag: str) -> str | None:
     if len(found) > 1:
         raise BagError(f"bag {bag}: topic '{name}' is {' and '.join(found)}; ask for one by its full name")
     return found[0] if found else None
+
+
+def topics_of_stage(
+    wanted: Iterable[str], topics: Collection[str], bag: str, remap: Mapping[str, str] | None = None
+) -> dict[str, str]:
+    """``remap`` with the bag's topic, of ``topics``, for each of the ``wanted`` names of ours that the stage of the
+    encoder has; BagError as of :func:`resolved`.
+
+    In the namespace of another stage, with an encoder of its own, nothing is looked for. An encoder alone in its
+    namespace, as a filter's, is of no stage in particular.
+    """
+    found = dict(remap or {})
+    encoder = resolved(found.get(ENCODER.topic, ENCODER.topic), topics, bag) or ""
+    parts = {name: name.rpartition("/")[::2] for name in topics}
+    space, own = encoder.rpartition("/")[::2]
+    others = {within for within, last in parts.values() if last == own == ENCODER.topic} - {space}
+    if not any((space, one.topic) in parts.values() for one in STREAMS if one is not ENCODER):
+        others = set()
+    ours = [name for name, (within, _) in parts.items() if within not in others]
+    for name in wanted:
+        if name not in found and (full := resolved(name, ours, bag)):
+            found[name] = full
+    return found

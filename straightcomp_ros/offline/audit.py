@@ -14,7 +14,7 @@ import numpy as np
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.folder import opened
-from straightcomp_ros.bags.reader import StreamColumns, attachments_of, read_streams
+from straightcomp_ros.bags.reader import StreamColumns, attachments_of, streams_of_stage
 from straightcomp_ros.bags.recorded_nodes import noted_changes, parameters_of
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE
 from straightcomp_ros.control.laws import make_law
@@ -78,17 +78,17 @@ def audit(
     """Audit a bag.
 
     ``remap`` has the bag's topic for each of our topics that has another name there, ``given`` the parameters, by node
-    and dotted name, of a bag that has none attached.
+    and dotted name, of a bag that has none attached. Of several stages in the bag that of the encoder is taken.
 
     Raises:
         BagError: the bag is refused, or lacks a stream or the controller's parameters.
         ParameterError: a recorded parameter is refused.
     """
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in _AUDITED}, remap)
-    for stream in _AUDITED:
-        if stream.topic not in streams:
-            raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; an audit needs all four of the loop")
     with opened(bag) as files:
+        streams = streams_of_stage(bag, files, _AUDITED, remap)
+        for stream in _AUDITED:
+            if stream.topic not in streams:
+                raise BagError(f"bag {bag}: has no messages on '{stream.topic}'; an audit needs all four of the loop")
         values = parameters_of(bag, attachments_of(files), given, remap)
         changes = [
             when for when, changed in noted_changes(files) if any(name.startswith("controller.") for name in changed)

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.interruption import PAUSE
-from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams
+from straightcomp_ros.bags.folder import opened
+from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams, streams_of_stage
 from straightcomp_ros.bags.recorded_nodes import parameters_of, replayed_map
 from straightcomp_ros.cell.launcher import SLACK_S, Graph, LaunchError, exit_words, isolated_environment
 from straightcomp_ros.contract import COMMAND, ENCODER
@@ -60,7 +61,8 @@ def replay_through_graph(
         BagError: the bag is refused.
         LaunchError: a node could not be started, or failed.
     """
-    streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)}, remap)
+    with opened(bag) as files:
+        streams = streams_of_stage(bag, files, (ENCODER, COMMAND), remap)
     attachments = read_attachments(bag)
     recorded = parameters_of(bag, attachments, given, remap)
     stamps = streams[ENCODER.topic].stamp if ENCODER.topic in streams else np.zeros(1, np.int64)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import rewritten_bag
 import yaml
-from bag_of_rows import bag_of_rows
+from bag_of_rows import bag_of, bag_of_rows
 from recorded_run import recorded_run
 from rewritten_bag import rewritten
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
-from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_streams
 from straightcomp_ros.bags.recorded_nodes import note_changes
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, ENCODER, REFERENCE, STREAMS
 from straightcomp_ros.control.laws import LAWS, make_law
@@ -114,6 +115,21 @@ def test_what_came_after_a_change_of_the_controller_is_unverifiable_and_the_chan
     assert slow.passed and slow.commands == 1001
     with pytest.warns(UserWarning, match="changed while .*'controller.control.law' linear"):
         evaluate_bag(bag)
+
+
+def test_no_stage_is_audited_by_the_streams_of_another(bag, tmp_path):
+    messages = [(topic, read_messages(bag, topic)) for topic in ("encoder", "reference", "command", "controller_state")]
+    both = [
+        (f"{space}/{topic}", one.type_name, data, *times)
+        for space in ("", "/b")
+        for topic, one in messages
+        for data, *times in zip(one.data, one.log_time, one.publish_time, strict=True)
+        if (space, topic) != ("", "command")
+    ]
+    two = bag_of(tmp_path / "two", both, read_attachments(bag)["parameters.yaml"].decode())
+    with pytest.raises(BagError, match="has no messages on 'command'"):
+        audit(two)
+    assert audit(two, {"encoder": "/b/encoder"}) == audit(bag)
 
 
 @pytest.mark.parametrize("topic", ["encoder", "reference", "controller_state"])
