@@ -23,6 +23,12 @@ PAUSE = 1.0
 the driver or the board would have switched off."""
 
 
+def played(stamps: Stamps) -> Stamps:
+    """Time (n,) in ns from the first of these stamps (n,) to each, in which a pause of the recording, or a jump of its
+    clock, is no longer than :data:`PAUSE`, and a jump back takes none."""
+    return np.append(0, np.cumsum(np.diff(stamps).clip(0, round(PAUSE * 1e9))))
+
+
 class Stall(NamedTuple):
     """A time in which the host failed the loop: first and last moment in s, on the clock of the record."""
 

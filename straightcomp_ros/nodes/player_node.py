@@ -6,12 +6,11 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median_high
 
-import numpy as np
 from rclpy.task import Future
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from straightcomp_ros.analysis.interruption import PAUSE
+from straightcomp_ros.analysis.interruption import played
 from straightcomp_ros.bags import BagError, noting_warnings
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
@@ -53,8 +52,7 @@ class PlayerNode(Runnable):
         rows = zip(*(stream.columns[name].tolist() for name in ENCODER.layout.columns), strict=True)
         self._messages = [ENCODER.layout.pack(stamp, *row) for stamp, row in zip(stamps, rows, strict=True)]
         # A pause of the recording, or a jump of its clock, is not waited out.
-        played_ns = np.append(0, np.cumsum(np.minimum(np.diff(stream.stamp), round(PAUSE * 1e9))))
-        self._due_ns = [round(time_ns / parameters.speed) for time_ns in played_ns.tolist()]
+        self._due_ns = [round(time_ns / parameters.speed) for time_ns in played(stream.stamp).tolist()]
         self._publisher = stream_publisher(node, ENCODER)
         self._stamps = stamps
         self._clock = node.create_publisher(Clock, CLOCK, stream_qos(1)) if parameters.clock else None

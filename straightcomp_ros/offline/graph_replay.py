@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from straightcomp_ros.analysis.interruption import PAUSE
+from straightcomp_ros.analysis.interruption import played
 from straightcomp_ros.bags.folder import opened
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams, streams_of_stage
 from straightcomp_ros.bags.recorded_nodes import parameters_of, replayed_map
@@ -66,7 +66,7 @@ def replay_through_graph(
     attachments = read_attachments(bag)
     recorded = parameters_of(bag, attachments, given, remap)
     stamps = streams[ENCODER.topic].stamp if ENCODER.topic in streams else np.zeros(1, np.int64)
-    duration = float(np.diff(stamps).clip(0, PAUSE * 1e9).sum()) * 1e-9
+    duration = float(played(stamps)[-1]) * 1e-9
     new = output / "bag"
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.assessment import Assessment, assessed
-from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults
+from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults, played
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
 from straightcomp_ros.bags.folder import BagInput, found_beside, found_files, opened, topic_names
@@ -217,8 +217,9 @@ def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
     except BagError as error:
         left_out.append(f"what is damaged in the bag: {error}")
         sound = False
-    if sound and not secrets and not last and all(_NAME.fullmatch(f"{BAG}/{one.name}") for one in paths):
+    if sound and not last:
         _check_size(bag, sum(one.stat().st_size for one in paths))
+    if sound and not secrets and not last and all(_NAME.fullmatch(f"{BAG}/{one.name}") for one in paths):
         copy.mkdir()
         for one in [*paths, *found_beside(bag, paths)]:
             shutil.copyfile(one, copy / one.name)
@@ -253,7 +254,7 @@ def _before_the_end(bag: Path, files: Sequence[BagInput], last: float) -> tuple[
     with the amplifier's last switch-on before the last seconds, if that is not longer ago than :data:`_FARTHEST` times
     these: from there on each command can be computed again.
 
-    It goes by chunks, since the samples of a day do not fit into memory. Where the clock was set back no time passes.
+    It goes by chunks, since the samples of a day do not fit into memory. Where the clock was set, no time passes.
     """
     topic = resolved(ENCODER.topic, topic_names(files), str(bag))
     time, count, newest_ns, was_on = 0.0, 0, 0, True
@@ -270,9 +271,11 @@ def _before_the_end(bag: Path, files: Sequence[BagInput], last: float) -> tuple[
                 # The sample before the switch-on shows that the amplifier was off.
                 starts.append(chunks[-2])
             was_on = on[-1]
-        last_ns = max((int(rows(data, own, HEAD)["log_time"].max()) for own in places.values()), default=newest_ns)
-        time += max(0, last_ns - (newest_ns or last_ns)) * 1e-9
-        newest_ns = last_ns
+        if places:
+            own = places[topic] if topic in places else max(places.values(), key=len)
+            stamps = rows(data, own, HEAD)["log_time"].astype(np.int64)
+            time += float(played(np.append(newest_ns or stamps[0], stamps))[-1]) * 1e-9
+            newest_ns = int(stamps[-1])
         count += sum(map(len, places.values()))
     begin = max((one for one in chunks if one[0] <= time - last), default=chunks[0])
     start = max(one for one in starts if one <= begin)

@@ -6,7 +6,7 @@ from places import SMC
 from rewritten_bag import rewritten
 from tiers import nightly
 
-from straightcomp_ros.analysis.interruption import stalls_of
+from straightcomp_ros.analysis.interruption import played, stalls_of
 from straightcomp_ros.analysis.record import motion_of, strokes_and_jumps
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.fleet.history.adding import evaluate_bag
@@ -39,6 +39,20 @@ def off(topic, stamp, numbers):
         stream, name, value = places[topic]
         numbers = [value if column == name else one for column, one in zip(stream.layout.columns, numbers, strict=True)]
     return stamp, numbers
+
+
+@pytest.mark.parametrize(
+    ("stamps", "played_s"),
+    [
+        ([5.0], [0.0]),
+        ([5.0, 5.5, 6.0], [0.0, 0.5, 1.0]),
+        ([5.0, 28805.0, 28805.5], [0.0, 1.0, 1.5]),
+        ([5.0, 1.0, 1.5], [0.0, 0.0, 0.5]),
+        ([5.0, 28805.0, 5.5, 6.0], [0.0, 1.0, 1.0, 1.5]),
+    ],
+)
+def test_no_pause_and_no_jump_of_the_clock_is_played_longer_than_a_second_and_none_takes_time_back(stamps, played_s):
+    assert played((np.array(stamps) * S).astype(np.int64)) / S == pytest.approx(played_s)
 
 
 @pytest.mark.parametrize(("at", "amplifier"), [(FORWARD, None), *nightly([(0.5, off), (3.0, off)])])
