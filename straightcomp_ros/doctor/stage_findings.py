@@ -461,8 +461,11 @@ def _x_finding(wire: Wire, stage: StageParameters) -> Finding:
     if repeated and "referenced" not in wire.homes:
         detail = f"x repeats itself every {turn:.6g} m of a travel of {travel:.6g} m, and no signal says 'referenced'"
         return Finding(name, "fail", detail, "Name a signal in can.wire.referenced, or use a counter of more bits.")
-    if step > way + encoder.x_noise:
-        detail = f"x comes in steps of {step:.3g} m, which the driver takes for jumps: {moved}"
+    # Readings differ by whole steps.
+    change = step * math.ceil(stage.motion.speed / stage.rate / step) if step else 0.0
+    if change > way + encoder.x_noise:
+        changes = f"steps of {step:.3g} m, up to {change:.3g} m at once"
+        detail = f"x comes in {changes}, which the driver takes for jumps: {moved}"
         remedy = "Use a finer scale, check its unit in the DBC file, or set stage.encoder.x_resolution to this step."
         return Finding(name, "fail", detail, remedy)
     return _range(name, wire.sample, "x", ends, encoder.x_resolution, "m")

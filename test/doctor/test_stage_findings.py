@@ -157,6 +157,9 @@ def test_protection_that_is_missing_is_found(check):
         ("18|22@1- (1E-006,0)", {}, "", "warn", "too coarse"),
         ("18|14@1- (1E-007,0)", {}, "Referenced", "fail", "may move by 0.001 m within a sample"),
         ("18|22@1- (1E-010,0)", {}, "Referenced", "fail", "check its unit"),
+        # At 8 mm/s and 2 kHz by 4 µm: a step, or two, which are more than 12 mm/s.
+        ("18|22@1- (3.5E-006,0)", {"motion.speed": 8e-3, "motion.highest_speed": 12e-3}, "", "fail", "takes for jumps"),
+        ("18|22@1- (3.5E-006,0)", {"motion.speed": 6e-3, "motion.highest_speed": 12e-3}, "", "warn", "too coarse"),
     ],
 )
 def test_an_encoder_whose_counter_wraps_fits_a_travel_within_its_turn_or_a_board_that_says_it_is_referenced(
