@@ -147,9 +147,10 @@ class CanHardware(Hardware):
     def pace(self, pace: Pace) -> None:
         frame = self._frames_for_stage().pace_payload(pace)
         self.motion.position(self._clock())
-        # An override may wait: it is sent with the next motion. A stop must not: where the motion is over here, the
-        # emulator's stage may still move.
-        if pace.hold or pace.end or not (self.motion.over and self._link.problem):
+        # An override may wait: it is sent with the next motion. A stop or the end of a hold must not: where the motion
+        # is over here, the emulator's stage may still move, or be held on its way.
+        stops = pace.hold or pace.end or self.motion.pace.hold
+        if stops or not (self.motion.over and self._link.problem):
             self._send_to_stage([frame])
         self.motion.ask(pace)
 

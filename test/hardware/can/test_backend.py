@@ -525,7 +525,14 @@ def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_mo
     for stop in (Pace(hold=True), Pace(end=True)):
         with pytest.raises(HardwareError, match="not open yet"):
             world.host.pace(stop)
+    # A hold ends where the emulator knows of it.
     world.host._link.send, world.host._link.problem = send, ""
+    world.host.pace(Pace(0.5, hold=True))
+    world.host._link.send, world.host._link.problem = (lambda *frame, **how: False), "CAN can0: gone"
+    with pytest.raises(HardwareError, match="gone"):
+        world.host.pace(Pace(0.5))
+    world.host._link.send, world.host._link.problem = send, ""
+    world.host.pace(Pace(0.5))
     for begin, distance in ((0.0, 0.02), (0.02, -0.02)):
         world.run(0.2)
         world.host.move(Trajectory(jog(STAGE.motion, begin, distance)), world.now)
