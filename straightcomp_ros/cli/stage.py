@@ -80,7 +80,7 @@ def _new(options: argparse.Namespace) -> None:
             raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
     x = [run.x for run in read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
-    made = not options.folder.exists()
+    made = [one for one in (options.folder, *options.folder.parents) if not one.exists()]
     # Before the questions: no answers are lost where it cannot be made.
     folder = output_folder("DIR", str(options.folder))
     found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
@@ -90,8 +90,8 @@ def _new(options: argparse.Namespace) -> None:
         if sys.stdin.isatty() and not options.yes:
             given = _answered(found, given)
     except BaseException:
-        if made:
-            folder.rmdir()
+        for one in made:
+            one.rmdir()
         raise
     values = {**found, **given, "guide.file": SURVEY}
     if not (survey.exists() and survey.samefile(source)):

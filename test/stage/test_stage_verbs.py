@@ -151,13 +151,16 @@ def test_what_does_not_fit_the_answers_is_asked_for_until_it_does_and_they_are_k
     assert read_stage_file(tmp_path / "one" / "stage.yaml")["stage"].items() >= facts.items()
 
 
+@pytest.mark.parametrize("name", ["one", "one/deep/er"])
 @pytest.mark.parametrize("there", [False, True])
-def test_questions_that_are_not_answered_leave_no_folder_but_one_that_was_there(tmp_path, monkeypatch, verb, there):
+def test_questions_that_are_not_answered_leave_no_folder_but_one_that_was_there(
+    tmp_path, monkeypatch, verb, there, name
+):
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", Mock(side_effect=["4000", EOFError]))
     if there:
         (tmp_path / "one").mkdir()
-    assert verb("stage", "new", tmp_path / "one").code == 2
+    assert verb("stage", "new", tmp_path / name).code == 2
     assert (tmp_path / "one").exists() is there and not list(tmp_path.glob("one/*"))
 
 
