@@ -103,15 +103,17 @@ def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path
 
 def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
     """The recorded motion of the stage, and the time in ns at which its trajectory starts. In a pause of the recording
-    the stage stands for :data:`PAUSE`, however long it was; where it went on, as behind a jump of the clock, the pause
-    lasts as long as its way."""
+    the stage stands for :data:`PAUSE`, however long it was, or goes its way if that takes longer; where it went on, as
+    behind a jump of the clock in mid-motion, the pause lasts as long as its way."""
     x = record.x if record.true_x is None else record.true_x
     steps, way = np.diff(record.time), np.abs(np.diff(x))
     last = len(x) - 1
     step = min(max(round(_WAYPOINT_EVERY / float(np.median(steps))), 1), last)
     fastest = np.max(np.abs(x[step:] - x[:-step]) / (record.time[step:] - record.time[:-step]))
+    # A stage that is pushed, or whose encoder drifts, may stand elsewhere behind a pause at rest.
+    stood = (way < ARRIVED) | (np.append(np.inf, way[:-1]) < ARRIVED)
     # From rest to rest the stage is half as fast on average.
-    needed = np.where(way < ARRIVED, PAUSE, 2.0 * way / fastest)
+    needed = np.maximum(2.0 * way / fastest, np.where(stood, PAUSE, 0.0))
     skipped = np.where(steps > PAUSE, np.maximum(steps - needed, 0.0), 0.0)
     time = record.time - np.append(0.0, np.cumsum(skipped))
     places = np.unique(np.append(np.arange(0, len(x), step), last))

@@ -1,5 +1,6 @@
 """A recorded run computed again."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -221,6 +222,16 @@ def test_a_pause_of_the_recording_is_not_simulated(bag, tmp_path):
         recorded, again = what_if(paused, {})
     assert recorded.verdict.in_order and again.verdict.in_order
     assert again.metrics.true_pp == pytest.approx(recorded.metrics.true_pp, rel=0.2)
+
+
+@pytest.mark.parametrize("moved", [0.0, 5e-6, 40e-6])
+def test_a_pause_at_rest_takes_a_second_wherever_the_stage_stands_behind_it(bag, moved):
+    record = evaluate_bag(bag).record
+    forward, backward = record.motion.strokes
+    behind = np.arange(record.x.size) > (forward.stop + backward.start) // 2
+    paused = replace(record, time=record.time + 3600.0 * behind, true_x=record.true_x + moved * behind)
+    (trajectory, _), (unchanged, _) = _recorded_motion(paused), _recorded_motion(record)
+    assert trajectory.end_ns - unchanged.end_ns == pytest.approx(1e9, rel=1e-3)
 
 
 @pytest.mark.parametrize("whole", [True, False], ids=["jump of the clock", "pause"])
