@@ -39,7 +39,7 @@ def recorded_parameters(
     """Values by node, without its namespace, and dotted name, under the present names; empty when none are attached.
 
     The attachments are those of ``bag``, from :func:`straightcomp_ros.bags.reader.read_attachments`. Of nodes of one
-    name that in the namespace of the encoder is taken, whose topic ``remap`` may name, or else that without a
+    name that in the namespace of the encoder is taken, whose topic ``remap`` may name, over that without a
     namespace. Raises BagError when the parameter file is none, or has neither of them.
     """
     where = f"bag {bag}: {PARAMETERS_ATTACHMENT}"

@@ -345,7 +345,9 @@ class CellSequence:
             self._recovering = not self.seen.fault
             yield
         self._recovering = False
-        yield from work
+        # Not inside this one: recoveries would nest.
+        self._work = work
+        yield
 
     def _resetting(self) -> Iterator[None]:
         ready_since, waits_since, waits_for, homes = self.now, self.now, "", False

@@ -10,6 +10,7 @@ until a command comes or ``command_timeout`` switches the amplifier off.
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,6 +25,7 @@ from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 from straightcomp_ros.straightness.feedforward import follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.straightness.survey_table import SurveyError
 
 _AT_INDEX_NS = 10_000_000
 _INDEX_M = 1e-9
@@ -73,7 +75,9 @@ class SimulatedParameters:
 def switched_on_at(stage: StageParameters, guide: StraightnessMap) -> float:
     """Where a simulated stage stands when it is switched on, m: at zero, or where its strokes start if zero is not on
     the map and the true guide, with their run-out."""
-    spans, runout = (guide.span, load_map(stage.guide).span), stage.guide.runout
+    spans, runout = [guide.span], stage.guide.runout
+    with suppress(SurveyError):  # a machine with a true guide of its own needs no map
+        spans.append(load_map(stage.guide).span)
     return 0.0 if all(first - runout <= 0.0 <= last + runout for first, last in spans) else stage.motion.start
 
 

@@ -211,7 +211,7 @@ class CellNodeParameters:
         False, "Before the strokes move the platform to the middle of its travel, then to the map; takes some 2 s"
     )
     recoveries: int = parameter(
-        0, "Faults in mid-cycle after which the cell switches the amplifier on again; one more ends the run", "[0, 100]"
+        0, "Faults in mid-cycle after which the cell switches the amplifier on again; one more ends the run", "[0, inf)"
     )
     progress: bool = parameter(False, "Print a line 'progress FRACTION' on standard output while the stage moves")
     stage: StageParameters = group(StageParameters)
