@@ -1,6 +1,7 @@
 """Emulates the DSP board on the CAN bus, as the simulated machine of the driver's parameters. It uses no ROS."""
 
 import dataclasses
+import gc
 import sys
 import time
 from collections.abc import Callable
@@ -98,6 +99,13 @@ def _schedule(driver: RealtimeParameters) -> None:
         print(f"dsp_emulator: {refusal}", file=sys.stderr)
 
 
+def _ready() -> None:
+    # What was made by now is never garbage, and to look through it takes longer than a sample.
+    gc.collect()
+    gc.freeze()
+    print("ready", flush=True)
+
+
 def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool], own_hub: bool) -> None:
     """Be the machine of the firmware core, which is a process of its own on the bus."""
     can, simulated, stage, guide = parameters.can, parameters.simulated, parameters.stage, parameters.guide()
@@ -115,7 +123,7 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
             said = _logged(said, program.stage.refused)
             return stopped()
 
-        print("ready", flush=True)
+        _ready()
         program.serve(ended, hub)
 
 
@@ -133,5 +141,5 @@ def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = F
         return
     with closing(Emulator(parameters, drift, own_hub=own_hub)) as emulator:
         _schedule(parameters.realtime)
-        print("ready", flush=True)
+        _ready()
         emulator.loop.run(stopping, idle=lambda: None)

@@ -1,6 +1,7 @@
 """What the tests in the guest are made of: network interfaces, boards as processes, and the driver's side in a loop."""
 
 import contextlib
+import gc
 import multiprocessing
 import subprocess
 import time
@@ -119,6 +120,10 @@ class Driver:
         own = parameters(fd, HOST, file, **changed)
         self.stage = own.stage
         self.samples = []
+        # As a node does before its loop: what was made by now takes a second to look through here, as long as a board
+        # waits for a command.
+        gc.collect()
+        gc.freeze()
         self.hardware = CanHardware(own.can, own.stage, time.time_ns)
         self.hardware.start(time.time_ns())
 
