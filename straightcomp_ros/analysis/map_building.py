@@ -160,7 +160,7 @@ def as_it_is(guide: MapParameters) -> BuiltMap:
 
 
 def agreeing(
-    survey: Survey, limit: float, guide: MapParameters = MAP
+    survey: Survey, limit: float, guide: MapParameters
 ) -> tuple[list[Run], list[str], list[tuple[str, float]]]:
     """The runs without outliers, in their order; names of rejected runs, also of those that have then fewer points,
     wider gaps or ends farther from the others' than ``guide`` allows; rejected points. SurveyError if the runs do not

@@ -226,7 +226,7 @@ def streams_of(
     bag: Path,
     files: Sequence[BagInput],
     layouts: Mapping[str, Layout],
-    remap: Mapping[str, str] | None = None,
+    remap: Mapping[str, str] | None,
     whole: Sequence[Messages] = (),
 ) -> dict[str, StreamColumns]:
     """As :func:`read_streams`, from the open files of a bag; each of ``whole`` gets the messages of its topic as they
@@ -253,7 +253,7 @@ def streams_of_stage(
     bag: Path,
     files: Sequence[BagInput],
     streams: Sequence[Stream],
-    remap: Mapping[str, str] | None = None,
+    remap: Mapping[str, str] | None,
     whole: Sequence[Messages] = (),
 ) -> dict[str, StreamColumns]:
     """As :func:`streams_of`, of several stages in the bag those of the one that has the encoder."""

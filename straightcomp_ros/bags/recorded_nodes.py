@@ -101,7 +101,7 @@ def parameters_of(
     bag: Path,
     attachments: Mapping[str, bytes],
     given: Mapping[str, Mapping[str, Any]] | None,
-    remap: Mapping[str, str] | None = None,
+    remap: Mapping[str, str] | None,
 ) -> Mapping[str, Mapping[str, Any]]:
     """As :func:`recorded_parameters`, or those that are ``given`` for a bag that has none of the controller attached.
     Raises BagError for a bag that has none and is given none, and for one that has both: only one can be the run's."""

@@ -158,7 +158,7 @@ def resolved(name: str, topics: Collection[str], bag: str) -> str | None:
 
 
 def topics_of_stage(
-    wanted: Iterable[str], topics: Collection[str], bag: str, remap: Mapping[str, str] | None = None
+    wanted: Iterable[str], topics: Collection[str], bag: str, remap: Mapping[str, str] | None
 ) -> dict[str, str]:
     """``remap`` with the bag's topic, of ``topics``, for each of the ``wanted`` names of ours that the stage of the
     encoder has; BagError as of :func:`resolved`.

@@ -125,7 +125,7 @@ def attribute(option: str) -> str:
     return option.strip("-").replace("-", "_")
 
 
-def named_files(options: argparse.Namespace, without: str = "") -> list[Path]:
+def named_files(options: argparse.Namespace, without: str) -> list[Path]:
     """Files and folders that are there and that options or arguments name, but for one's; with files that are named as
     ``NAME=FILE``, and those that a YAML file among them names."""
     from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml

@@ -136,7 +136,7 @@ def stage_findings(controller: ControllerNodeParameters, tracking: FeedforwardPa
     ]
     unusual += [
         f"{value:.3g} {words} (usual: {low:g} to {high:g}; stage.{', stage.'.join(names.split())})"
-        for words, value, low, high, names in _related(stage, found, straightness)
+        for words, value, low, high, names in _related(stage, straightness)
         if value and not low <= value <= high
     ]
     detail = ", ".join(unusual)
@@ -148,9 +148,7 @@ def stage_findings(controller: ControllerNodeParameters, tracking: FeedforwardPa
     yield from _drive_findings(stage, found)
 
 
-def _related(
-    stage: StageParameters, found: Consequences, straightness: StraightnessMap
-) -> Iterator[tuple[str, float, float, float, str]]:
+def _related(stage: StageParameters, straightness: StraightnessMap) -> Iterator[tuple[str, float, float, float, str]]:
     """What facts make together: the words behind a value, the value, what is usual from and to, and the facts' names.
 
     A platform may have grams or tons, but then its magnets fit. A value of zero: the stage has no such fact."""

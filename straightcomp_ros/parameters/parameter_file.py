@@ -52,7 +52,7 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
     return read_parameter_files([path], namespace)
 
 
-def read_parameter_files(paths: Sequence[str | Path], namespace: str = "") -> dict[str, dict[str, Any]]:
+def read_parameter_files(paths: Sequence[str | Path], namespace: str) -> dict[str, dict[str, Any]]:
     """As :func:`read_parameter_file`, of several files as rcl joins them."""
     return _values_of(paths[-1], [section for path in paths for section in _sections_of(path)], namespace)
 
@@ -103,9 +103,9 @@ def _values_of(
     return values
 
 
-def read_stage_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
+def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """As :func:`read_parameter_file`; a file of a relative name in it is looked for in its folder first."""
-    values = read_parameter_file(path, namespace)
+    values = read_parameter_file(path)
     for node, found in files_beside(path, values).items():
         values[node].update(found)
     return values

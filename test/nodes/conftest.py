@@ -46,13 +46,6 @@ def in_a_terminal():
     signal.signal(signal.SIGHUP, before)
 
 
-@pytest.fixture
-def graph(tmp_path):
-    """Starts nodes; who uses it is a live test."""
-    with Graph(tmp_path / "logs", dict(os.environ)) as graph:
-        yield graph
-
-
 @pytest.fixture(scope="module")
 def shared_graph(tmp_path_factory):
     """One graph for the tests of a module that end none of its nodes; they have the mark ``live``."""
@@ -70,6 +63,12 @@ def single(tmp_path):
     run in parallel."""
     with Graph(tmp_path / "logs", dict(os.environ)) as graph:
         yield graph
+
+
+@pytest.fixture
+def graph(single):
+    """Starts nodes; who uses it is a live test."""
+    return single
 
 
 @pytest.fixture

@@ -122,9 +122,9 @@ def pair():
         yield lambda *given: stack.enter_context(contextlib.closing(Pair(*given)))
 
 
-def bad_loop(run, stage=STAGE, samples=3000, seed=1):
+def bad_loop(run, stage=STAGE, samples=3000):
     """The closed loop on a moving stage over a bus that loses, damages and repeats; off, on and reset in between."""
-    chance = random.Random(seed)
+    chance = random.Random(1)
     servo, period = Servo(make_law(ControlParameters(), stage)), stage.period_ns
     motion = MotionParameters(stroke=0.05, settle=0.1)
     for frame in run.stage_payloads(forward_and_back(motion)):
