@@ -116,7 +116,6 @@ def test_a_chunk_that_never_reached_the_disk_ends_the_reading(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "reason"),
     [
-        ("run_0.mcap", b"", "is empty: the recording was never started"),
         ("run_0.mcap", b"SQLite format 3\0", "is not an MCAP file"),
         ("run_0.mcap", b"\x89MCAP0\r\n", "has no messages"),
         ("run_0.txt", b"", "holds no .mcap"),

@@ -347,19 +347,6 @@ def test_a_bag_whose_first_files_are_not_there_and_not_listed_is_read_and_said_t
         assert read_streams(split, LAYOUTS)
 
 
-def test_a_missing_file_is_named_and_recover_saves_the_others(split, tmp_path):
-    (split / "split_1.mcap").unlink()
-    with pytest.raises(BagError, match=r"lacks split_1\.mcap"):
-        read_streams(split, LAYOUTS)
-    (split / "metadata.yaml").unlink()
-    with pytest.raises(BagError, match=r"lacks split_1\.mcap"):
-        read_streams(split, LAYOUTS)
-    result = recover(split, tmp_path / "saved")
-    assert not result.whole and result.lost is None
-    assert ("split_1.mcap", 0, 0, "the file is missing") in result.gaps
-    assert 0 < result.saved["/encoder"] < COUNT
-
-
 def test_the_last_file_of_a_killed_recording_may_be_cut_off_or_empty(split, tmp_path):
     (split / "metadata.yaml").unlink()
     last = split / "split_2.mcap"
