@@ -65,7 +65,6 @@ def foreign(peer):
     ("wrong", "fault"),
     [
         (lambda peer: setattr(peer, "current", math.nan), Fault.COMMAND_NOT_FINITE),
-        (lambda peer: setattr(peer, "current", 2.0), Fault.COMMAND_OUT_OF_RANGE),
         (lambda peer: setattr(peer, "current", None), Fault.COMMAND_TIMEOUT),
         (foreign, Fault.TWO_CONTROLLERS),
     ],

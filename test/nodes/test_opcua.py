@@ -138,12 +138,6 @@ async def holds_a_stroke(url):
     assert await read("Live.X") == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("words", [["--opcua", "--lockstep"], ["--strokes", "0"], ["--opcua", "--strokes", "0"]])
-def test_what_a_demonstration_cannot_do_is_refused_before_anything_is_said(words, verb):
-    code, out, said = verb("demo", *words)
-    assert (code, out) == (EXIT_CONFIGURATION, "") and "allowed" in said and "ROS domain" not in said
-
-
 def test_without_users_a_gateway_serves_readers_on_this_machine_and_with_a_wrong_file_it_ends_with_one_sentence(
     single, tmp_path
 ):

@@ -90,6 +90,8 @@ CASES = [
     ("bench graph --rate 5", "parameter 'stage.rate': 5 Hz is too small"),
     ("bench graph --against logger.sync_interval=-1", "'sync_interval': -1.0 s is too small"),
     ("bench graph --against sync=1", "allowed: NODE.NAME=VALUE"),
+    ("demo --opcua --lockstep", "--opcua runs in real time; allowed without --lockstep"),
+    ("demo --strokes 0", "--strokes: '0'; allowed: a whole number >= 1"),
     ("bench graph --priority 99", "parameter 'realtime.priority': 99 is too large"),
 ]
 IMPOSSIBLE = [
@@ -136,7 +138,7 @@ def refusal(verb):
     [pytest.param(*case, code, id=case[0][:90]) for cases, code in ((CASES, 2), (IMPOSSIBLE, 1)) for case in cases],
 )
 def test_what_is_wrong_is_said_in_one_sentence(words, expected, code, refusal):
-    if words.startswith("bench graph"):
+    if words.startswith(("bench graph", "demo")):
         pytest.importorskip("rclpy")
     assert expected in refusal(words, code)
 
