@@ -106,19 +106,22 @@ def _values_of(
 def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
     """As :func:`read_parameter_file`; a file of a relative name in it is looked for in its folder first."""
     values = read_parameter_file(path)
-    for node, found in files_beside(path, values).items():
+    for node, found in files_beside(path, values, values).items():
         values[node].update(found)
     return values
 
 
-def files_beside(path: str | Path, values: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+def files_beside(
+    path: str | Path, values: Mapping[str, Mapping[str, Any]], joined: Mapping[str, Mapping[str, Any]]
+) -> dict[str, dict[str, str]]:
     """Full names, by node and parameter, of the files in the folder of the stage file ``path`` with ``values``; of what
-    is nowhere too, so that its refusal names that folder."""
+    is nowhere too, so that its refusal names that folder. Only of those that count where the file is ``joined`` with
+    others."""
     folder = Path(path).resolve().parent
     found: dict[str, dict[str, str]] = {}
     for node, name in _FILES:
         file = values[node].get(name)
-        if not isinstance(file, str) or not file:
+        if not isinstance(file, str) or not file or joined[node].get(name) != file:
             continue
         file = os.path.expanduser(file)
         if os.path.isfile(folder / file) or not os.path.exists(named_file(file)):
@@ -163,10 +166,8 @@ def shipped_parameters(
                     f"section joins that of the parameter file, before {ALL_NODES} of this one; name the section "
                     f"'{node}', or in a namespace '/NAMESPACE/{node}'"
                 )
-        for node, found in files_beside(path, own).items():
-            values[node].update(
-                {name: full for name, full in found.items() if values[node].get(name) == own[node][name]}
-            )
+        for node, found in files_beside(path, own, values).items():
+            values[node].update(found)
     return values
 
 

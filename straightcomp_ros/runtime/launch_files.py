@@ -169,10 +169,7 @@ def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[
     if values := read.get(stage or file):
         # What the other file's sections leave of it: a node's section that joins one there loses against a later `/**`.
         taken = read_parameter_files(list(read), namespace)
-        found = {
-            of: {name: full for name, full in names.items() if taken[of].get(name) == values[of][name]}
-            for of, names in files_beside(stage or file, values).items()
-        }
+        found = files_beside(stage or file, values, taken)
         described = {f"{STAGE}.{name}": full for name, full in found.get(STAGE, {}).items()}
         # A file of the node's own takes precedence, wherever it is.
         given = {name: full for name, full in described.items() if name not in taken[node]} | found.get(node, {})
