@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from straightcomp_ros.parameters.yaml_text import number_or_nan
 from straightcomp_ros.timing.delays import NOTHING, Distribution
 
 SAMPLES = "samples"
@@ -61,10 +62,8 @@ def reporting_node(status: str, namespace: str) -> str:
 def number(values: Mapping[str, str], name: str) -> float:
     """The value ``name`` of a status, which any program may have written; NaN if there is none or it is no finite
     number."""
-    with suppress(ValueError):
-        if math.isfinite(value := float(values.get(name, "nan"))):
-            return value
-    return math.nan
+    value = number_or_nan(values.get(name))
+    return value if math.isfinite(value) else math.nan
 
 
 def count(values: Mapping[str, str], name: str) -> int:
