@@ -24,6 +24,7 @@ from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey_table import WAYS
 
 T = TypeVar("T", ActuatorParameters, LuGreParameters)
 _CHANGEABLE = ("motion.", "guide.", "actuator.current_limit", "serial")
@@ -185,12 +186,15 @@ class StageParameters:
 
     def outdated(self, straightness: StraightnessMap, lead: float) -> float:
         """Largest error in m of a reference of a while ago (``lead`` in s), extrapolated by its two rates: along the
-        map at full speed, together with a ramp's begin or end, which no earlier reference shows."""
+        map at full speed, there and back, together with a ramp's begin or end, which no earlier reference shows."""
         low, high = reach(self.motion)
-        x, way = np.linspace(low, high, _PLACES), self.motion.speed * lead
-        r, slope, curvature = straightness.evaluate(x)
-        missed = straightness.evaluate(x + way)[0] - (r + (slope + 0.5 * curvature * way) * way)
-        return float(np.abs(missed).max()) + 0.5 * straightness.steepest * self.motion.acceleration * lead**2
+        x, way, missed = np.linspace(low, high, _PLACES), self.motion.speed * lead, [0.0]
+        for direction, ahead in zip(WAYS, (way, -way), strict=True):
+            at = x[(x + ahead >= low) & (x + ahead <= high)]
+            r, slope, curvature = straightness.evaluate(at, direction)
+            error = straightness.evaluate(at + ahead, direction)[0] - (r + (slope + 0.5 * curvature * ahead) * ahead)
+            missed.append(float(np.abs(error).max(initial=0.0)))
+        return max(missed) + 0.5 * straightness.steepest * self.motion.acceleration * lead**2
 
     def enough_lead(self, straightness: StraightnessMap, longest: float) -> float:
         """How old a reference may be, in s: as ``longest``, or where that errs by more than the rounding of y, by as

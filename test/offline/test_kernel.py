@@ -20,7 +20,8 @@ from straightcomp_ros.offline.starts import can_run, compiled_cycle, run_stroke
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import Feedforward, FeedforwardParameters
-from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
+from straightcomp_ros.straightness.survey import Run, Survey
 
 STAGE = StageParameters()
 
@@ -157,6 +158,14 @@ def test_a_reference_of_a_while_ago_errs_by_what_the_stage_says_at_most_and_with
         enough = described.enough_lead(stroke.map, lead)
         assert (enough < lead) == bool(values)
         assert described.outdated(stroke.map, enough) <= described.encoder.y_rounding
+
+
+def test_a_reference_of_a_while_ago_errs_as_much_on_a_stage_that_counts_backwards():
+    ways = {"forward": "backward", "backward": "forward"}
+    runs = [Run(one.name, ways[one.direction], -one.x[::-1], one.deviation[::-1]) for one in MAP.survey.runs]
+    guides = {1.8: MAP, -1.8: StraightnessMap(Survey(tuple(runs)))}
+    errors = [from_mapping(StageParameters, {"motion.stroke": way}).outdated(guides[way], 0.01) for way in guides]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-6)
 
 
 def test_noise_reaches_the_encoder_and_not_the_platform_and_a_law_starts_anew_in_each_cycle():
