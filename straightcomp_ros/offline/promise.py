@@ -126,7 +126,9 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     settle = min(described.settle, _LONGEST_REST)
     described = dataclasses.replace(described, file="", steps=steps, settle=settle, pause=pause)
     reached = _fastest(stroke, described.speed, described.acceleration, described.jerk)
-    same_place = abs(start - described.start) < _SAME * stroke and abs(stroke / described.stroke - 1.0) < _SAME
+    if described.stroke < 0.0:  # backward first
+        start, stroke = start + stroke, -stroke
+    same_place = abs(start - described.start) < _SAME * abs(stroke) and abs(stroke / described.stroke - 1.0) < _SAME
     if same_place and abs(speed / reached - 1.0) < _SAME:
         return described
     # What reaches this speed on the longest way: a trajectory may ask for more than is described.

@@ -219,6 +219,9 @@ def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_
             for motion in ({"pause": 0.0}, {"pause": 0.0, "speed": 0.02}, {"pause": 0.01, "stroke": 0.02})
         ),
         ({"start": 0.1, "stroke": 0.03, "steps": 3}, {"stroke": 1.0, "steps": 100}, {"stroke": 0.03, "steps": 3}),
+        # A stage that goes backward first: as described, and elsewhere.
+        ({"start": 2.0, "stroke": -0.3}, {"start": 2.0, "stroke": -0.3}, {"start": 2.0, "stroke": -0.3}),
+        ({"start": 2.0, "stroke": -0.3}, {"stroke": -1.0}, {"start": 2.0, "stroke": -0.3}),
         # A list of near positions far from the start.
         ({"file": "0.25\n0.2505\n0.251\n0.2515\n"}, {"file": "unknown"}, {"stroke": 0.2515, "steps": 5}),
         # A trajectory that accelerates more than is described.
