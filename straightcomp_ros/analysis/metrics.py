@@ -187,7 +187,9 @@ def standstill_figures(record: StrokeRecord, reference: ReferenceMap) -> list[St
         settled = int(outside[-1]) + 1 if outside.size else 0
         lasts = settled < rest.size
         standing = rest[settled:] if lasts else rest
-        settling = settled * period if lasts else math.nan
+        # Samples may be missing.
+        taken = float(record.time[stroke.stop + settled - 1] - record.time[stroke.stop - 1]) / period
+        settling = round(taken) * period if lasts else math.nan
         found.append(StandstillFigures(settling, peak_to_peak(standing), rms(standing), reversal))
     return found
 

@@ -240,6 +240,8 @@ def test_settling_lasts_until_the_error_stays_in_the_band_and_is_unknown_where_i
     first, last = standstill_figures(record, record.reference)
     # 3e-7 falls to 1e-7 in 0.05 ln 3 s; the end of a movement is seen some ms early.
     assert first.settling == approx(0.05 * math.log(3.0), abs=0.006)
+    lacking = record.part(np.flatnonzero((record.time < arrival + 0.01) | (record.time > arrival + 0.04)))
+    assert standstill_figures(lacking, lacking.reference)[0].settling == first.settling
     assert first.standstill_pp < 1e-7 and last.settling == 0.0 and last.reversal_pp is None
     assert first.reversal_pp == approx(np.ptp(3e-7 * np.exp([0.0, -0.5 / 0.05])), rel=0.05)
     outside, _ = standstill_figures(record_of(lambda time, x: np.full_like(x, 2e-7), **motion), record.reference)
