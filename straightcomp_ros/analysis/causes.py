@@ -224,7 +224,7 @@ def of_map(
     if least <= _EXPLAINED:
         return f"the survey is not of this guide as it lies: {cause}"
     if straightness is not None:
-        points = np.unique(straightness.survey.runs[0].x)
+        points = straightness.report.x
         away = np.abs(x[:, np.newaxis] - points).min(axis=1)
         room = 0.5 * float(np.median(np.diff(points)))
         near, far = away < 0.3 * room, away > 0.7 * room

@@ -49,7 +49,8 @@ def point_weights(x: Array, at: Array, weights: Array) -> Array:
 
 
 def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Array, Array]:
-    """The x of the first run, cut to the range that all runs cover, and all runs at these x.
+    """The x of the run with the most points, of equal ones the first, cut to the range that all runs cover, and all
+    runs at these x.
 
     Runs with other x are interpolated by a cubic spline through their points (linear interpolation would cut 0.02 µm
     off a wave of 150 mm and 1 µm at 10 mm spacing); at a run's own points the spline is the measured value.
@@ -67,10 +68,10 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
                 f"{max(at) * 1e3:.10g} mm; allowed: within {max_gap * 1e3:.6g} mm (max_gap); was a run broken off?"
             )
     low, high = max(starts), min(ends)
-    first = survey.runs[0].x
+    finest = max((run.x for run in survey.runs), key=len)
     # Half a step of room to the ends: triggers jitter, and two points a micrometre apart make the spline wild.
-    room = 0.5 * float(np.median(np.diff(first)))
-    grid = np.concatenate([[low], first[(first > low + room) & (first < high - room)], [high]])
+    room = 0.5 * float(np.median(np.diff(finest)))
+    grid = np.concatenate([[low], finest[(finest > low + room) & (finest < high - room)], [high]])
     if grid.size < max(min_points, 4):
         raise SurveyError(
             f"survey {survey.source}: {grid.size} points in the range that all runs cover; "

@@ -453,11 +453,14 @@ def _grid(*runs):
     return *on_common_grid(survey, min_points=20, max_gap=0.05), survey
 
 
-def test_runs_on_the_same_x_are_taken_as_measured_and_others_brought_onto_the_first_ones_grid():
-    x, values, _ = _grid(_run("forward"), _run("backward", 1e-7), _run("backward", x=np.linspace(0.0, 1.0, 83)))
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_runs_on_the_same_x_are_taken_as_measured_and_coarser_ones_brought_onto_it_whatever_their_order(place):
+    runs = [_run("forward"), _run("backward", 1e-7)]
+    runs.insert(place, _run("backward", x=np.linspace(0.0, 1.0, 83)))
+    x, values, _ = _grid(*runs)
     np.testing.assert_array_equal(x, GRID)
-    np.testing.assert_array_equal(values[:2], [_bow(GRID), _bow(GRID) + 1e-7])
-    np.testing.assert_allclose(values[2], _bow(GRID), atol=1e-12)
+    np.testing.assert_array_equal(np.delete(values, place, axis=0), [_bow(GRID), _bow(GRID) + 1e-7])
+    np.testing.assert_allclose(values[place], _bow(GRID), atol=1e-12)
 
 
 def test_the_grid_keeps_to_what_all_runs_cover():
