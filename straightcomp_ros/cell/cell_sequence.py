@@ -424,7 +424,11 @@ class CellSequence:
     def _unholding(self) -> Iterator[None]:
         yield from self._asking(
             lambda: self.machine.request("driver/hold", False),
-            lambda: self.seen.stage.condition not in ("stopping", "held") and self._overdue(_RECEIVED_S),
+            # With an override of 0 % it stands as if it were held.
+            lambda: (
+                (not self.seen.stage.override or self.seen.stage.condition not in ("stopping", "held"))
+                and self._overdue(_RECEIVED_S)
+            ),
             lambda: "the stage remains held",
         )
 

@@ -167,6 +167,12 @@ def test_hold_rests_in_mid_movement_with_the_amplifier_on_and_unhold_goes_on_wit
     way = bench.give(Command.UNHOLD, State.COMPLETE)
     assert way == [State.UNHOLDING, State.EXECUTE, State.COMPLETING, State.COMPLETE]
     assert len(bench.moves) == (1 if as_one else 2) and bench.seen.x == pytest.approx(0.0, abs=1e-9)
+    bench = started(1, as_one=as_one)
+    bench.ticks(12)
+    assert bench.ordered(Order.OVERRIDE, 0)
+    bench.give(Command.HOLD, State.HELD)
+    assert bench.give(Command.UNHOLD, State.EXECUTE) and bench.ordered(Order.OVERRIDE, 100)
+    bench.until(State.COMPLETE)
 
 
 def test_stop_and_abort_end_the_movement_where_it_can_rest_or_leave_it_and_the_next_cycle_begins_there():
