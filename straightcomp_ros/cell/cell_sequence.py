@@ -356,7 +356,9 @@ class CellSequence:
             if not obstacle and self.seen.unreferenced:
                 obstacle = f"x is not referenced: {self.seen.unreferenced}"
                 if self.seen.stamp_ns and self._due():  # without a sample there may be no machine
-                    self.machine.request("driver/home")
+                    # One that is held would not home either.
+                    held = self.seen.stage.condition == "held"
+                    self.machine.request("driver/end_motion" if held else "driver/home")
             if self.seen.occupied:
                 raise WorkFailed(self.seen.occupied)
             if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):

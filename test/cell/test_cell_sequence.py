@@ -47,7 +47,7 @@ class Bench:
         elif service == "driver/reset_fault":
             self.see(faults={} if self.obeys else self.seen.faults)
         elif service == "driver/home":
-            self.see(unreferenced="")
+            self.see(unreferenced=self.seen.unreferenced if self.motion.pace.hold else "")
         elif service == "driver/hold":
             self.motion.ask(self.motion.pace._replace(hold=on))
         elif service == "driver/end_motion":
@@ -329,6 +329,14 @@ def test_a_stage_that_homes_for_longer_than_the_start_timeout_is_awaited_until_i
     bench.ticks(140)
     assert bench.sequence.state is State.RESETTING and bench.seen.stage.condition == "moving"
     assert bench.until(State.IDLE) == [State.RESETTING, State.IDLE]
+
+
+def test_a_stage_that_another_client_left_held_is_let_go_to_home():
+    bench = Bench()
+    bench.see(unreferenced="the machine has not been homed")
+    bench.request("driver/hold", True)
+    bench.motion.begin(Trajectory(jog(MOTION, 0.0, 0.01)), round(bench.now * 1e9))
+    bench.idle()
 
 
 def test_a_node_that_runs_and_is_starting_is_awaited_and_one_that_is_not_there_for_the_start_timeout_only():
