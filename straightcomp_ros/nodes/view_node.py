@@ -112,7 +112,8 @@ class ViewNode(Runnable):
         # What the driver said last: that there are no samples does not switch off.
         on = self._graph.safety.amplifier_on
         self._on = self._own and (self._on or on)
-        self._own = self._own and (on or not self._on)
+        # A fault may come before the amplifier was seen on.
+        self._own = self._own and (on or not (self._on or self._graph.safety.fault))
         nodes = {
             node: {"state": state} | {shown: reports.get(node, {}).get(key, "") for shown, key in _OF_NODE.items()}
             for node, state in seen.nodes.items()

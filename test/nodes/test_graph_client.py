@@ -354,7 +354,7 @@ def test_a_live_view_that_switched_on_switches_off_when_it_is_closed_though_no_s
     view = view_node.ViewNode(Mock(), 0, Mock(), RealtimeParameters(), "", None)
 
     def shown(condition, fresh=True):
-        graph.safety = SafetyState(condition)
+        graph.safety = SafetyState(condition, "y_frozen" if condition is State.FAULT else "")
         graph.observation.return_value = Observation(fresh=fresh, amplifier_on=fresh and condition is State.ON)
         view._fetch()
         return view.leave() is not None
@@ -371,3 +371,6 @@ def test_a_live_view_that_switched_on_switches_off_when_it_is_closed_though_no_s
     assert not shown(State.OFF) and pressed(enable) == "amplifier on"
     assert [shown(State.OFF), shown(State.ON), shown(State.ON, fresh=False), shown(State.ON)] == [True] * 4
     assert not shown(State.OFF) and not shown(State.ON)
+    # One that a fault switches off at once, and another client on again, is that client's.
+    assert not shown(State.OFF) and pressed(enable) == "amplifier on"
+    assert not shown(State.FAULT) and not shown(State.ON)
