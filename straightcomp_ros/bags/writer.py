@@ -129,7 +129,7 @@ class BagWriter:
         ids, times = self._channel_ids, [log_time_ns for _, _, log_time_ns, _ in messages]
         sound = times and min(times) >= 0 and ids.keys() >= {topic for topic, *_ in messages}
         began = self._file_began_ns is not None and not self._file_finished and not self._closed
-        if not sound or not began or self._is_full(max(times)):
+        if not sound or not began or self._is_full(max(times)) or self._is_full(min(times)):
             for message in messages:
                 self.write(*message)
             return
@@ -145,7 +145,8 @@ class BagWriter:
         if self._file_began_ns is None:
             return False
         too_large = 0 < self._max_size <= self._output.size
-        return too_large or 0 < self._max_duration_ns <= log_time_ns - self._file_began_ns
+        # Also of a clock that was set back: else the file would last until that time comes again.
+        return too_large or 0 < self._max_duration_ns <= abs(log_time_ns - self._file_began_ns)
 
     def split(self) -> None:
         """Finish the file, and continue in a new one; a file without messages is kept."""
