@@ -9,6 +9,7 @@ until a command comes or ``command_timeout`` switches the amplifier off.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -131,15 +132,14 @@ class SimulatedHardware(Hardware):
         self._plant.set_time(now_ns)
 
     def read(self, now_ns: int) -> list[tuple[Sample, Truth]]:
-        samples = []
+        # A process that was suspended may be late by millions of samples.
+        samples: deque[tuple[Sample, Truth]] = deque(maxlen=self._memory)
+        first_ns = self._next_sample_ns
         while self._next_sample_ns <= now_ns:
             samples.append(self._sample(self._next_sample_ns))
             self._next_sample_ns += self.period_ns
-        surplus = len(samples) - self._memory
-        if surplus > 0:
-            self.lost_samples += surplus
-            del samples[:surplus]
-        return samples
+        self.lost_samples += (self._next_sample_ns - first_ns) // self.period_ns - len(samples)
+        return list(samples)
 
     def write(self, current: float, at_ns: int, sample_ns: int | None = None) -> None:
         if not math.isfinite(current):

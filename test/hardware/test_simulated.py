@@ -1,5 +1,6 @@
 import dataclasses
 import math
+import tracemalloc
 
 import pytest
 from surveys import GUIDE
@@ -52,6 +53,12 @@ def test_a_host_that_is_late_finds_what_the_memory_holds_and_the_rest_is_counted
     samples = hardware.read(START + 99 * PERIOD)
     assert len(samples) == 16 and samples[-1][0].stamp_ns == START + 99 * PERIOD
     assert hardware.lost_samples == 84
+    # However late: of 5000 samples no more is kept meanwhile than of 16.
+    tracemalloc.start()
+    hardware.read(START + 5099 * PERIOD)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 100_000 and hardware.lost_samples == 84 + 4984
 
 
 def test_when_the_next_command_is_late_the_board_goes_back_to_the_mean_of_those_before():
