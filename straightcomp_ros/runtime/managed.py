@@ -115,12 +115,14 @@ class ManagedNode(GuardedNode, LifecycleNode):
         return self._component.loop if self._component is not None and self.active else None
 
     def go_on(self) -> None:
-        """What a callback calls while it waits for a job in another thread: one cycle of the loop, or a pause."""
+        """What a callback calls while it waits for a job in another thread: one cycle of the loop, or a pause, and a
+        timer that is due. A node whose heartbeats cease counts as dead."""
         loop = self.loop_of_process()
         if loop is not None:
             loop.turn()
         else:
             time.sleep(_PAUSE_S)
+        self.steady_timers.call_one()
 
     def fail(self, error: Exception) -> None:
         """Report a failure of the component: with ``autostart`` end the process, otherwise become unconfigured."""

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import weakref
+from functools import partial
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -24,7 +25,7 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
-from straightcomp_ros.runtime.loops import WorkerThread
+from straightcomp_ros.runtime.loops import WorkerThread, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
 
@@ -192,6 +193,14 @@ def test_what_a_node_had_is_freed_before_it_is_configured_again(participant, tmp
         node.trigger_cleanup()
         node.close()
     assert left == [[], []]
+
+
+def test_timers_and_so_heartbeats_go_on_while_a_callback_waits_for_what_takes_long(participant):
+    node, calls = ManagedNode(*MANAGED["feedforward"]), []
+    node.create_timer(0.02, lambda: calls.append(time.monotonic()))
+    awaited(partial(time.sleep, 0.5), node.go_on)
+    node.destroy_node()
+    assert len(calls) > 5
 
 
 def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(single):
