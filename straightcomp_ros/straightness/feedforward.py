@@ -224,13 +224,13 @@ class Feedforward:
 
     @property
     def changing(self) -> bool:
-        """Whether a change of the map is not finished yet."""
-        return self._left is not None
+        """Whether a change of the map is under way: from its first sample on, which may be long after it."""
+        return self._left is not None and self._stamp_ns != self._left_ns
 
     def change(self, reference: Lookup) -> None:
         """Fade to another map's ``reference`` within :data:`FADE_TIME`; before the first sample, change
         at once. Not while :attr:`changing`."""
-        if self._stamp_ns != _NEVER:
+        if self._stamp_ns != _NEVER and self._left is None:
             self._left, self._left_ns = self._reference, self._stamp_ns
         self._reference = reference
 

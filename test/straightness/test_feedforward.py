@@ -168,6 +168,12 @@ def test_a_change_of_map_reaches_the_bounds_of_the_rates_that_belong_to_it_and_n
     feedforward = Feedforward(GUIDE)
     feedforward.change(other)
     assert feedforward.step(0, 0.2)[0] == pytest.approx(GUIDE.reference(0.2)[0] + DIFFERENCE)
+    # While no samples come it may be changed again, and the fade begins with the map of the last sample.
+    feedforward.change(GUIDE.reference)
+    assert not feedforward.changing
+    feedforward.change(other)
+    found = [feedforward.step(step * PERIOD_NS, 0.2)[0] for step in range(1, FADE + 1)]
+    assert found == pytest.approx([GUIDE.reference(0.2)[0] + DIFFERENCE] * FADE, abs=1e-15)
 
 
 def test_after_a_start_it_is_least_squares_over_all_samples_from_the_third_on():
