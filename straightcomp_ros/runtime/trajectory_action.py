@@ -45,7 +45,7 @@ class TrajectoryAction:
     """The action ``~/follow_joint_trajectory`` of ``node`` for one joint; nothing where control_msgs is not installed.
 
     ``begin`` starts a trajectory with its tolerances and returns what is followed; ValueError or HardwareError if it is
-    refused. ``end`` lets the stage come to rest within its limits.
+    refused. ``end`` lets the stage come to rest within its limits; HardwareError if it cannot.
 
     Attributes:
         goal: the one that is followed now.
@@ -91,11 +91,19 @@ class TrajectoryAction:
         self.goal, self._handle = goal, handle
 
     def _cancel(self, handle: Any) -> CancelResponse:
-        if self.goal is None or handle != self._handle:
+        if self.goal is None or handle != self._handle or not self._ends():
             return CancelResponse.REJECT
         self.goal.canceled = True
-        self._end()
         return CancelResponse.ACCEPT
+
+    def _ends(self) -> bool:
+        """Let the stage come to rest; False if that does not reach it: a bus may be gone, also by the fault itself."""
+        try:
+            self._end()
+        except HardwareError as error:
+            self._node.get_logger().warning(f"the motion of a goal goes on: {error}")
+            return False
+        return True
 
     def report(self, outcome: Outcome | None, x: float, desired: float) -> None:
         """Publish where the stage is and was to be, m, and how the goal has ended, if it has."""
@@ -109,7 +117,7 @@ class TrajectoryAction:
             return
         self.goal = self._handle = None
         if outcome.end:
-            self._end()
+            self._ends()
         self._finish(handle, outcome)
 
     def abandon(self, reason: str) -> None:

@@ -3,19 +3,23 @@ samples with the amplifier on and off; where its stage stands, and which motions
 
 import math
 from contextlib import contextmanager
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from participant import spun
+from rclpy.action import CancelResponse
 from surveys import one_run
 
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.interface import HardwareError, Sample
 from straightcomp_ros.model.motion import Trajectory, Waypoint
+from straightcomp_ros.model.trajectory_goal import Outcome
 from straightcomp_ros.nodes import driver_node
 from straightcomp_ros.nodes.driver_node import DriverComponent, make_hardware
 from straightcomp_ros.parameters.declaration import from_mapping
 from straightcomp_ros.parameters.node_parameters import DriverNodeParameters
+from straightcomp_ros.runtime import trajectory_action
 from straightcomp_ros.runtime.loops import now_ns
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.safety.faults import Fault
@@ -94,6 +98,18 @@ def test_a_driver_that_does_not_reach_its_machine_says_why_once(driver, monkeypa
         driver._hardware._link.problem = problem
         driver._watch_slowly()
     assert logged == ["no such device", "bus-off"]
+
+
+@pytest.mark.parametrize("driver", [{"can.simulated_stage": True}], indirect=True)
+def test_a_driver_goes_on_where_the_end_of_a_goal_s_motion_does_not_reach_the_stage(driver, monkeypatch):
+    action, handle, answered = driver._action, Mock(), Mock()
+    monkeypatch.setattr(trajectory_action, "FollowJointTrajectory", Mock())
+    monkeypatch.setattr(trajectory_action, "execute", answered)
+    monkeypatch.setattr(action, "goal", Mock(canceled=False))
+    monkeypatch.setattr(action, "_handle", handle)
+    assert action._cancel(handle) is CancelResponse.REJECT and not action.goal.canceled
+    action.report(Outcome("abort", -1, "the bus is gone", end=True), 0.0, 0.0)
+    assert action.goal is None and answered.called
 
 
 @pytest.fixture
