@@ -312,6 +312,7 @@ class CellSequence:
             self._enter(FAILED[self.state], str(failure))
 
     def _enter(self, state: State, message: str) -> None:
+        stopping = state is State.ABORTING and self.state in (State.STOPPING, State.HOLDING)
         self.state = state
         self.message = message  # reason for the state, or for the refusal of the last command
         self._named = state is State.ABORTED and self._named
@@ -321,8 +322,8 @@ class CellSequence:
         self._work: Iterator[None] = getattr(self, f"_{state.name.lower()}", lambda: iter(()))()
         if state is State.ABORTING:
             self.machine.request("driver/enable", False)
-            if self.movements.waits or self._jog:
-                # It may be on its way to a driver that stands still now.
+            if self.movements.waits or self._jog or stopping:
+                # It may be on its way to a driver that stands still now, or a fault came with a Stop or Hold.
                 self.machine.request("driver/end_motion")
 
     def _trouble(self, seen: Observation) -> str:

@@ -187,6 +187,14 @@ def test_stop_and_abort_end_the_movement_where_it_can_rest_or_leave_it_and_the_n
             bench.idle()
             bench.give(Command.START, State.COMPLETE, 1)
             assert bench.seen.x == pytest.approx(0.0, abs=1e-9)
+    for command in (Command.STOP, Command.HOLD):
+        # A fault that comes with the command does not let the stage go on.
+        bench = started(3, as_one=True, recoveries=1)
+        bench.ticks(12)
+        bench.see(faults=COIL, amplifier_on=False)
+        bench.give(command, State.ABORTED)
+        bench.ticks(20)
+        assert bench.seen.stage.condition == "rest" and 0.005 < bench.seen.x < 0.095
 
 
 @pytest.mark.parametrize("strokes", [0, 1])
