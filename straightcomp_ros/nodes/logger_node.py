@@ -53,9 +53,9 @@ _IDLE = ("chrt", "--idle", "0")
 
 
 class FaultIncidents:
-    """Watches `safety_state`; keeps the newest ``number`` incidents beside the bag that ``recording`` returns, None
-    while there is none. ``save`` completes that bag first, in as many turns of the timer as it yields. One at a time: a
-    fault while an incident is packed, or waits for it, is in that one."""
+    """Watches `safety_state`; keeps the newest ``number`` incidents beside the bag that ``recording`` returned at the
+    fault, None while there is none. ``save`` completes that bag first, if it is still recorded, in as many turns of the
+    timer as it yields. One at a time: a fault while an incident is packed, or waits for it, is in that one."""
 
     def __init__(
         self,
@@ -65,28 +65,27 @@ class FaultIncidents:
         save: Callable[[], Iterable[None]] = tuple,
     ) -> None:
         self._node, self._number, self._recording, self._save = node, number, recording, save
-        self._due: tuple[float, str] | None = None
+        self._due: tuple[float, str, Path] | None = None
         self._seen = ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(0.5, partial(next, self._work()))
 
     def _on_safety_state(self, status: DiagnosticStatus) -> None:
         fault = f"{status.name} {[one.value for one in status.values]}" if status.name else ""
-        if fault and fault != self._seen and self._due is None:
-            self._due = time.monotonic() + _AFTER_S, status.name
+        bag = self._recording()
+        if bag and fault and fault != self._seen and self._due is None:
+            self._due = time.monotonic() + _AFTER_S, status.name, bag
         self._seen = fault
 
     def _work(self) -> Iterator[None]:
         """Pack incidents, one at a time; each ``yield`` waits for the timer."""
         while True:
             yield
-            bag, due = self._recording(), self._due
-            if due is None or time.monotonic() < due[0]:
+            if self._due is None or time.monotonic() < self._due[0]:
                 continue
-            fault, self._due = due[1], None
-            if bag is None:
-                continue
-            yield from self._save()
+            (_, fault, bag), self._due = self._due, None
+            if bag == self._recording():  # else that bag is finished
+                yield from self._save()
             folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
             file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
             words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]

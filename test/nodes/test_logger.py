@@ -229,6 +229,19 @@ def test_an_incident_is_packed_when_what_was_in_memory_is_in_its_bag(tmp_path, m
     assert done == [0, 1, 2, "packs"]
 
 
+def test_an_incident_is_of_the_bag_that_was_recorded_at_the_fault_though_another_was_begun_since(tmp_path, monkeypatch):
+    bags, packed = [tmp_path / "before"], []
+    monkeypatch.setattr(logger_node, "_AFTER_S", 0.0)
+    monkeypatch.setattr(logger_node, "verb_command", lambda *words: packed.append(words[1]) or ("true",))
+    incidents = FaultIncidents(node := Mock(), 1, lambda: bags[-1])
+    _, work = node.create_timer.call_args[0]
+    incidents._on_safety_state(DiagnosticStatus(name="tripped"))
+    bags.append(tmp_path / "after")
+    work()
+    work()
+    assert packed == [str(bags[0])]
+
+
 @pytest.mark.parametrize("number", [1, 3, 6])
 def test_the_incident_just_packed_is_kept_whatever_the_clock_was_before(tmp_path, monkeypatch, number):
     monkeypatch.setattr(logger_node, "_AFTER_S", 0.0)
