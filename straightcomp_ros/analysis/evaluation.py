@@ -128,9 +128,10 @@ class BagEvaluation:
         return encoder_count(self.record.y)
 
     @cached_property
-    def _record_stamps(self) -> Stamps:
-        """Of the record's samples (m,), ns."""
-        return np.asarray(self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64))
+    def record_stamps(self) -> Stamps:
+        """Of the record's samples (m,), ns. Its times in s are rounded to more than that after 104 days."""
+        near = self.begin_ns + np.round(self.record.time * 1e9).astype(np.int64)
+        return self.stamps[np.searchsorted(self.stamps[:-1] + np.diff(self.stamps) // 2, near)]
 
     @property
     def readings(self) -> Array | None:
@@ -162,7 +163,7 @@ class BagEvaluation:
     def _too_little(self, begin_ns: int, until_ns: int) -> str:
         """That less than half of the travel is in the record: in its gaps the error is not known, and of a stream that
         is thinner than the encoder's it is another one. Empty if the record has more."""
-        stamps = self._record_stamps
+        stamps = self.record_stamps
         moving = self.encoder.moving(begin_ns, until_ns)[np.searchsorted(self.encoder.stamps, stamps)]
         travelled = np.abs(np.diff(self.record.x))[moving[:-1] & moving[1:]]
         taken = samples_between(stamps, self.encoder.stamps)[moving[:-1] & moving[1:]]
@@ -182,7 +183,7 @@ class BagEvaluation:
             return ""
         stamps = self.encoder.stamps
         moving = self.encoder.moving(begin_ns, until_ns) & np.isfinite(self.seen_error)
-        judged = np.isin(stamps, self._record_stamps)
+        judged = np.isin(stamps, self.record_stamps)
         # Streams that are stopped in motion end some samples apart.
         left = moving & ~judged & (stamps < self.encoder.judged_ns)
         if not left.any() or not (moving & judged).any():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from places import SMC
 from recorded_run import recorded_run
+from rewritten_bag import rewritten
 
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
@@ -223,3 +224,17 @@ def test_strokes_in_simulated_time_have_the_date_at_which_their_bag_was_made(eva
     dated = rows_of(evaluation, recorded_facts(SMC, "key", evaluation)[1], zero)
     assert [one.start - zero for one in dated] == [one.start for one in rows]
     assert dated[0].start.year == 2026 and date_of_zero(SMC, 1_700_000_000_000_000_000) == timedelta(0)
+
+
+def test_a_clock_that_was_set_between_two_strokes_gives_each_its_own_date(tmp_path, rows):
+    def change(topic, stamp, numbers):
+        stamp += 1_790_000_000_000_000_000 if stamp >= 2_250_000_000 else 0
+        return stamp, numbers, stamp
+
+    bag = rewritten(SMC, tmp_path / "run", change)
+    with pytest.warns(UserWarning, match="the recording was paused"):
+        evaluation = evaluate_bag(bag)
+    found = rows_of(evaluation, {}, date_of_zero(bag, evaluation.begin_ns))
+    assert [one.start.strftime("%Y-%m") for one in found] == ["2026-11", "2026-09"]
+    for name in ("verdict", "encoder_pp_um", "lost_samples", "latency_p50_us"):
+        assert [getattr(one, name) for one in found] == [getattr(one, name) for one in rows]

@@ -77,7 +77,7 @@ def date_of_zero(bag: Path, begin_ns: int) -> timedelta:
 
 def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta = timedelta(0)) -> list[StrokeRow]:
     """The rows of a run, in the order of its strokes; ``facts`` are the columns that all have in common, ``zero`` is
-    the date of stamp 0 since the epoch.
+    the date of stamp 0 since the epoch in simulated time; a clock that was set in the run has both kinds of stamps.
 
     Raises:
         MetricsError: the stage does not move, or a number within the motion is not finite.
@@ -85,11 +85,8 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
     record = evaluation.record
     strokes = record.motion.strokes
     record.check_finite(record.columns(), record.motion.window)
-
-    def stamp(sample: int) -> int:
-        return evaluation.begin_ns + round(float(record.time[sample]) * 1e9)
-
-    times = [(stamp(one.start), stamp(one.stop - 1)) for one in strokes]
+    stamps = evaluation.record_stamps.tolist()
+    times = [(stamps[one.start], stamps[one.stop - 1]) for one in strokes]
     until = [*(begin for begin, _ in times[1:]), FOR_EVER]
     uncertainties: dict[str, dict[str, Any]] = {}
     for stated in statements(evaluation):
@@ -103,7 +100,7 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
         StrokeRow(
             **facts,
             stroke=number,
-            start=_EPOCH + zero + timedelta(microseconds=one[1][0] // 1000),
+            start=_EPOCH + zero * (one[1][0] < _SIMULATED_NS) + timedelta(microseconds=one[1][0] // 1000),
             **_columns(evaluation, *one),
             **uncertainties.get(one[0].direction, {}),
             **after[number - 1],
