@@ -70,8 +70,8 @@ def bags_in(url: str) -> Iterator[BagPlace]:
 
     A folder with metadata.yaml is a bag, as is one whose files are splits of recordings by their numbers (of several
     recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
-    their own. Links to folders are not followed. On this machine a folder below that this user may not list is left
-    out, with a warning (UserWarning).
+    their own. What lies below a bag is looked at too. Links to folders are not followed. On this machine a folder below
+    that this user may not list is left out, with a warning (UserWarning).
 
     Raises:
         HistoryError: nothing is there.
@@ -121,7 +121,7 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
         sizes, times = zip(*(known[name] for name in names), strict=True)
         newest = max((time for time in times if time is not None), default=None)
         yield BagPlace(_location(files, path, local), names, sum(sizes), newest)
-        return
+        messages = []
     for name in messages:
         yield BagPlace(_location(files, f"{path}/{name}", local), (), *known[name])
     for name, folder, *_ in entries:
