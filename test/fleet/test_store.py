@@ -43,6 +43,9 @@ def test_adding_the_same_bags_again_changes_nothing(months, alone):
     assert (known.added, known.refused, known.known) == (0, 0, COUNT + 2) and files_of(store) == files
     again = added(store, months, again=True)
     assert (again.added, again.refused) == (COUNT, 2) and files_of(store) == files
+    # They may have been refused for the names of their topics.
+    named = added(store, months, remap={"encoder": "/encoder"})
+    assert (named.added, named.refused, named.known) == (0, 2, COUNT) and files_of(store) == files
 
 
 @pytest.mark.parametrize("workers", ["two processes", *nightly(["dask"])])

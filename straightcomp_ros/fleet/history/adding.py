@@ -58,7 +58,8 @@ def add(
         OSError: the store cannot be written, or a folder not be listed.
     """
     store.clear_abandoned()
-    new = _unknown(store, places, tally) if not again else iter(places)
+    # Under other names of topics a bag may not be refused.
+    new = _unknown(store, places, tally, refused=not remap) if not again else iter(places)
     first = list(islice(new, 2))
     if not first:
         return
@@ -75,9 +76,9 @@ def add(
         yield row
 
 
-def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally) -> Iterator[BagPlace]:
+def _unknown(store: Store, places: Iterable[BagPlace], tally: Tally, refused: bool) -> Iterator[BagPlace]:
     for place in places:
-        if store.has(place):
+        if store.has(place, refused):
             tally.known += 1
         else:
             yield place

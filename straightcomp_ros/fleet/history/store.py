@@ -89,11 +89,12 @@ class Store:
         if is_file:
             raise HistoryError(f"store {url}: is a file; name a folder")
 
-    def has(self, place: BagPlace) -> bool:
-        """Whether a bag was added, or refused, as it is now. One that could not be read is to be tried again."""
+    def has(self, place: BagPlace, refused: bool = True) -> bool:
+        """Whether a bag was added, or ``refused``, as it is now. One that could not be read is to be tried again."""
         found = self.row(place.location)
         same = (found.get("size"), found.get("modified")) == (place.size, place.modified)
-        return same and place.modified is not None and found["checksum"] is not None
+        readable = place.modified is not None and found.get("checksum") is not None
+        return same and readable and (refused or found["reason"] is None)
 
     def row(self, location: str) -> dict[str, Any]:
         """The row of the bag at this place by its columns, those of
