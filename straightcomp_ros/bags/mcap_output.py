@@ -112,11 +112,11 @@ class McapOutput:
         """Time in s since the first message of the open chunk; 0 without one."""
         return time.monotonic() - self._begun if self._records else 0.0
 
-    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment, stamped with the present time."""
-        now = time.time_ns()
-        record = _packed(records.Attachment(now, now, name, media_type, data))
-        index = records.AttachmentIndex(self.size, len(record), now, now, len(data), name, media_type)
+    def add_attachment(self, name: str, media_type: str, data: bytes, made_ns: int | None = None) -> None:
+        """Write an attachment, stamped with the present time or that at which it was made."""
+        made_ns = time.time_ns() if made_ns is None else made_ns
+        record = _packed(records.Attachment(made_ns, made_ns, name, media_type, data))
+        index = records.AttachmentIndex(self.size, len(record), made_ns, made_ns, len(data), name, media_type)
         self._append(record, _packed(index))
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:

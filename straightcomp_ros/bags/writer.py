@@ -160,10 +160,11 @@ class BagWriter:
             self._finish_file()
         self._open_file()
 
-    def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Store a file in the bag, e.g. the parameters as ``application/yaml``."""
+    def attach(self, name: str, media_type: str, data: bytes, made_ns: int | None = None) -> None:
+        """Store a file in the bag, e.g. the parameters as ``application/yaml``; it was made now, unless it is a copy of
+        one of ``made_ns`` since the epoch."""
         with self._disk(f"bag {self.path}: '{name}' cannot be attached"):
-            self._output.add_attachment(name, media_type, data)
+            self._output.add_attachment(name, media_type, data, made_ns)
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Store texts by name: as a record of the MCAP file, and as ``name.key`` in the bag's custom data."""
