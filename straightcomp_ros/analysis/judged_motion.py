@@ -51,11 +51,9 @@ FEW_COUNTS = 3.0
 """Counts of the encoder, p-p, which the best law leaves: no less is asked for on a nearly straight guide."""
 _OF_A_COUNT = 1.0 / math.sqrt(12.0)
 """RMS of rounding in counts."""
-_STILL = 0.1e-6
-"""Travel in m of a reference that asks for nothing: the run is uncompensated, unless its map asks for more elsewhere.
-Twenty times less than the best guide."""
 _STILL_SHARE = 0.01
-"""The same relative to the true guide's deviation."""
+"""Travel of a reference that asks for nothing, relative to the true guide's deviation: the run is uncompensated, unless
+its map asks for more elsewhere. A count of the encoder is nothing either."""
 
 
 def bounds_of(
@@ -92,6 +90,7 @@ def bounds_of(
         if node := _described(parameters["controller"]):
             bounds["unstable_where"] = partial(unstable_where, node.control, node.stage)
             bounds["dither"] = dither_frequency(node.control, node.stage)
+            bounds["resolution"] = node.stage.encoder.y_resolution
             bounds["coulomb"] = node.stage.friction.coulomb
             bounds["current_stiffness"] = node.stage.actuator.current_stiffness
     return bounds
@@ -187,6 +186,7 @@ class JudgedMotion:
     coulomb: float = 0.0  # N, friction; 0: none, or not known
     current_stiffness: float = 0.0  # N/A, of the magnets
     dither: float = 0.0  # Hz, of the sine that the law itself adds; 0: none
+    resolution: float = 0.1e-6  # m, of the encoder of y: the count that a platform at rest does not show
 
     @cached_property
     def period(self) -> float:
@@ -226,7 +226,7 @@ class JudgedMotion:
     @property
     def still(self) -> bool:
         """Whether the reference asks for nothing: the run is uncompensated."""
-        asked = max(_STILL, self.count, _STILL_SHARE * (self.fit.guide_pp if self.fit else 0.0))
+        asked = max(self.resolution, self.count, _STILL_SHARE * (self.fit.guide_pp if self.fit else 0.0))
         # Of a map with more than that a short motion may follow a gentle piece; only a centred reference stands still.
         return self.travel <= asked and (self.map_pp <= asked or self.travel == 0.0)
 

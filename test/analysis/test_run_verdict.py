@@ -305,6 +305,9 @@ CASES = {
     "an uncompensated run is in order and says so": [
         ("in_order", "uncompensated", motion(SMALL, 1e-9 * np.sin(TIME), fit=OTHER)),
         ("in_order", "uncompensated", motion(8.0 * SMALL, 0.0 * R, fit=OTHER, map_pp=20e-6)),
+        ("in_order", "uncompensated", motion(8.0 * SMALL, 0.004 * R, fit=None, count=1e-9)),
+        # To an encoder of nanometres it asks for much.
+        ("inaccurate", "", motion(8.0 * SMALL, 0.004 * R, fit=None, count=1e-9, resolution=1e-9)),
     ],
     "a short motion on a gentle piece of a map is compensated, and is judged by its promise": [
         ("inaccurate", "", motion(8.0 * SMALL, GENTLE, promise=promised(0.29), **JOG)),
@@ -344,7 +347,14 @@ def test_bounds_come_from_what_the_parameters_name_and_a_real_board_does_not_kno
 
     assert bounds_of({}) == {}
     named = {"driver": {"stage.platform.stop": 1e-3}, "controller": {"stage.actuator.current_limit": 0.5}}
-    described = {"friction": 2.0, "sensor_noise": 0.5, "map_noise": 0.02e-6, "modes": (), "dither": 0.0}
+    described = {
+        "friction": 2.0,
+        "sensor_noise": 0.5,
+        "map_noise": 0.02e-6,
+        "modes": (),
+        "dither": 0.0,
+        "resolution": 1e-7,
+    }
     described |= {"coulomb": 0.43, "current_stiffness": StageParameters().actuator.current_stiffness}
     assert bounds_of(named) == {"stop": 1e-3, "current_limit": 0.5, **described}
     assert bounds_of({"driver": {}, "controller": {}}) == {"stop": 1.2e-3, "current_limit": 0.9, **described}
