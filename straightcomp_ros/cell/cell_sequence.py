@@ -39,6 +39,7 @@ _REPORTED_WITHIN_S = 1.5
 """Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
+"""From the goal, or from a reading of x, which is half a count off."""
 _POINTS_TO_START = 8
 """Most points of the way to the start of a trajectory: of a move with a limit of the jerk."""
 _FARTHEST_JOG_UM = 20_000_000
@@ -79,14 +80,16 @@ class StageMovements:
     """The movements of the stage in a cycle by ``motion``; a stroke is a whole cycle of it.
 
     With ``as_one`` all strokes are one trajectory, timed by the driver; otherwise the stage gets one movement after the
-    other, and needs no time in common with the driver. ParameterError: the file of positions is refused.
+    other, and needs no time in common with the driver. ``count`` (m) is that of the encoder of x. ParameterError: the
+    file of positions is refused.
     """
 
     strokes: int  # requested
     strokes_done: int
 
-    def __init__(self, motion: MotionParameters, as_one: bool) -> None:
+    def __init__(self, motion: MotionParameters, as_one: bool, count: float = 0.0) -> None:
         self._motion, self.as_one, self._goals = motion, as_one, goals(motion)
+        self._near = _ARRIVED_M + 0.5 * count
         self._begin_ns = self._duration_ns = self._stands_ns = self._before = 0
         self._goal = self._begun_by = 0.0
         self._own: int | None = None
@@ -157,7 +160,7 @@ class StageMovements:
             self._fail(f"another client has ended the motion of the stage, which stands at {seen.x:.6f} m")
         delayed = seen.stage.behind_ns or seen.stage.condition in ("stopping", "held")
         over = not delayed and self.progress(seen) > _ARRIVED_SHARE
-        if over and abs(seen.x - self._goal) < _ARRIVED_M and (seen.still or self.as_one):
+        if over and abs(seen.x - self._goal) < self._near and (seen.still or self.as_one):
             self.forget()
             self._number += 1
             self.strokes_done = self.strokes if self.as_one else self._number // len(self._goals)
@@ -194,11 +197,12 @@ class CellSequence:
     _: KW_ONLY
     as_one: bool = False  # all strokes are one trajectory; see StageMovements
     home: bool = False  # before the first stroke, move the platform to the middle of its travel, then back to the map
+    count: float = 0.0  # of the encoder of x, m
     recoveries: int = 0  # how often to switch the amplifier on again after it went off in Execute
 
     def __post_init__(self) -> None:
         # Of the stage since the last Start; with 0 strokes, Execute compensates until Complete or Stop.
-        self.movements = StageMovements(self.motion, self.as_one)
+        self.movements = StageMovements(self.motion, self.as_one, self.count)
         self.seen, self.now = Observation(), self.clock()  # the graph as of this tick, and its time in s
         self.recovered = 0  # number of times that the amplifier was switched on again
         self.centred = False  # the reference is in the middle of the travel, or was requested to go there

@@ -58,6 +58,7 @@ class CellNode(Runnable):
             parameters.stage.motion,
             parameters.start_timeout,
             as_one=True,
+            count=parameters.stage.encoder.x_resolution,
             home=parameters.home,
             recoveries=parameters.recoveries,
         )

@@ -38,7 +38,8 @@ class OpcuaNode(Runnable):
         names = parameters.nodes.split()
         self._graph = GraphClient(node, names, stage=parameters.stage)
         self._remote = RemoteParameters(node, ["driver"])
-        self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout)
+        count = parameters.stage.encoder.x_resolution
+        self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout, count=count)
         self._alarms = Alarms(parameters.error_limit)
         self._advice = WatchedAdvice(parameters.maintenance_file)
         self._commands = 0

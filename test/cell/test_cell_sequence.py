@@ -11,6 +11,7 @@ from straightcomp_ros.cell.cell_sequence import CellSequence, StageMovements, ch
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, ORDERED_IN, Command, Order, State
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
+from straightcomp_ros.model.converters import nearest_count
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, Waypoint, forward_and_back, jog
 from straightcomp_ros.model.paced_motion import PacedMotion, StageState
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -23,14 +24,14 @@ AT_REST_WITHOUT_CURRENT = (State.STOPPED, State.IDLE, State.COMPLETE, State.ABOR
 class Bench:
     """A graph that carries out requests at once, unless ``obeys`` is False, and a clock that ticks by hand."""
 
-    def __init__(self, **options) -> None:
+    def __init__(self, count=1e-7, **options) -> None:
         self.now, self.obstacle = 100.0, ""
         self.obeys, self.active = True, False
         self.moves, self.requests, self.ended = [], [], 0
         self.answers, self.centred, self.centerings = [], True, []
         self.seen = Observation(nodes={"driver": "inactive"}, fresh=True, x=0.0, stamp_ns=1)
-        self.motion = PacedMotion(MOTION)
-        self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now, **options)
+        self.motion, self.count = PacedMotion(MOTION, count=count), count
+        self.sequence = CellSequence(self, MOTION, 5.0, clock=lambda: self.now, count=count, **options)
 
     def see(self, **changes):
         self.seen = replace(self.seen, **changes)
@@ -87,7 +88,7 @@ class Bench:
     def tick(self):
         self.now += TICK_S
         now_ns = round(self.now * 1e9)
-        x = self.motion.position(now_ns)
+        x = nearest_count(self.count, self.motion.position(now_ns))
         self.see(stamp_ns=now_ns, x=x, still=abs(x - self.seen.x) < 5e-5, stage=self.motion.state())
         self.sequence.tick(self.seen)
 
@@ -125,11 +126,15 @@ def started(strokes, **options):
 COIL = {"driver": "coil burnt"}
 
 
-@pytest.mark.parametrize(("as_one", "movements"), [(False, [0.1, 0.0, 0.1, 0.0]), (True, [0.0])])
+# A count of 70 µm shows the stage 30 µm beyond its goal.
+@pytest.mark.parametrize(
+    ("as_one", "count", "movements"),
+    [(False, 1e-7, [0.1, 0.0, 0.1, 0.0]), (False, 7e-5, [0.1, 0.0, 0.1, 0.0]), (True, 1e-7, [0.0])],
+)
 def test_a_cycle_runs_its_strokes_forward_and_back_and_ends_with_their_time_and_with_the_amplifier_off(
-    as_one, movements
+    as_one, count, movements
 ):
-    bench = Bench(as_one=as_one)
+    bench = Bench(as_one=as_one, count=count)
     bench.idle()
     for strokes in (-1, 10**7):
         assert "allowed: 0 to" in bench.sequence.command(Command.START, strokes)

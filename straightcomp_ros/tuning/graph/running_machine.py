@@ -58,6 +58,7 @@ _LATE_S = 5.0
 _REPORTED_S = 5.0
 """s after a request in which a report may still be of before it: nodes report once a second."""
 _ARRIVED = 1e-5
+"""m from the start, or from a reading of x, which is half a count off."""
 _SEEN_NS = 500_000_000
 """A stage that is away for longer is seen there: the client's observation is 50 ms old, or more on a slow host."""
 
@@ -74,6 +75,7 @@ class RunningMachine:
         self._client, self._values, self._folder = client, values, folder
         self._logger = {name: logger[name] for name in _RECORDING}
         self._travel = values["driver"][_TRAVEL]
+        self._near = _ARRIVED + 0.5 * node_parameters("driver", values).stage.encoder.x_resolution
         self.simulated = is_simulated(values["driver"])
         self._given: dict[str, dict[str, Any]] = {}
         if client.safety.amplifier_on:
@@ -221,7 +223,7 @@ class RunningMachine:
     def _arrive(self, start: float, within: float) -> None:
         client = self._client
         client.wait(
-            lambda: client.stage.condition == "held" or abs(client.observation().x - start) <= _ARRIVED,
+            lambda: client.stage.condition == "held" or abs(client.observation().x - start) <= self._near,
             within,
             f"the stage did not come to its start at {start:g} m",
         )
@@ -247,9 +249,9 @@ class RunningMachine:
         self._client.move(waypoints)
         self._sleep(waypoints[-1].time_ns * 1e-9, look)
         self._arrive(motion.start, _LATE_S)
-        far = [point for point in waypoints if abs(point.position - motion.start) > 2.0 * _ARRIVED]
+        far = [point for point in waypoints if abs(point.position - motion.start) > 2.0 * self._near]
         # The client looks every now and then.
-        if way <= _ARRIVED and far and far[-1].time_ns - far[0].time_ns > _SEEN_NS:
+        if way <= self._near and far and far[-1].time_ns - far[0].time_ns > _SEEN_NS:
             raise CommissioningError(
                 "the stage does not follow its trajectory: the driver's log says why; a real stage is moved by its own "
                 "controller, which then follows the topic 'stage_trajectory'"
