@@ -318,8 +318,8 @@ def _numbers(where: str, cells: Sequence[str]) -> list[float]:
 Reference = Sequence[float]
 Job = Callable[[], None]
 
-_REST = 1e-3
-"""m/s below which the stage counts as standing: a pass ends."""
+_REST = 0.05
+"""Of ``fade_speed``: below it the stage counts as standing, and a pass ends."""
 _STAGE_BANDWIDTH = 30.0
 """Hz, of the estimate of ẋ and ẍ."""
 _SETTLED = 100
@@ -349,7 +349,11 @@ class LearningParameters:
     )
     limit: float = parameter(2e-6, "Largest correction of the reference", "(0, 0.0001] m")
     spacing: float = parameter(0.25e-3, "Distance of the nodes along x", "[1e-5, 0.01] m")
-    fade_speed: float = parameter(0.02, "Speed of the stage below which the correction fades", "(0, 1] m/s")
+    fade_speed: float = parameter(
+        0.02,
+        "Speed of the stage below which the correction fades; slower than a twentieth of it nothing is learned",
+        "(0, 1] m/s",
+    )
     margin: float = parameter(
         0.05,
         "Fraction by which a pass's RMS error may exceed the best one's; beyond it the last update is taken back",
@@ -386,6 +390,7 @@ class Learning:
             read_tables(Path(parameters.file), law, self.tables)
             for table in self.tables.values():
                 table.bound(parameters.limit)
+        self._rest = _REST * parameters.fade_speed
         self._tracked, self._stamp_ns = restarted(0.0), 0
         self._forward = True
         self.cut = False
@@ -415,7 +420,7 @@ class Learning:
         self._spoiled = self._spoiled or self.cut
         v = tracked.v
         forward = v > 0.0
-        if -_REST < v < _REST or forward is not self._forward:
+        if -self._rest < v < self._rest or forward is not self._forward:
             self._end_pass()
             self._forward = forward
             self._stood = self._stood or self._samples > _SETTLED

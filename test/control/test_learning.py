@@ -359,10 +359,18 @@ def test_the_rates_of_the_corrected_reference_are_its_derivatives_on_a_stage_tha
         assert np.abs(rate - expected)[10:-10].max() < 0.005 * np.abs(expected).max()
 
 
-def test_a_stage_that_moves_by_more_than_a_jump_within_a_sample_is_learned_from():
-    fast = MotionParameters(stroke=4.0, speed=6.0, highest_speed=10.0, acceleration=20.0, settle=0.5)
-    learner, trajectory = Learning(LearningParameters(learn=True), "smc", 500.0), Trajectory(forward_and_back(fast))
-    for at_ns in range(0, trajectory.end_ns, 2_000_000):
+@pytest.mark.parametrize(
+    "motion, rate, fade_speed",
+    [
+        # More than a jump within a sample.
+        ({"stroke": 4.0, "speed": 6.0, "highest_speed": 10.0, "acceleration": 20.0}, 500, 0.02),
+        ({"stroke": 0.001, "speed": 0.0005}, 500, 0.0004),
+    ],
+)
+def test_fast_and_slow_stages_are_learned_from(motion, rate, fade_speed):
+    motion, learning = MotionParameters(settle=0.5, **motion), LearningParameters(learn=True, fade_speed=fade_speed)
+    learner, trajectory = Learning(learning, "smc", rate), Trajectory(forward_and_back(motion))
+    for at_ns in range(0, trajectory.end_ns, 10**9 // rate):
         learner.step(at_ns, trajectory.position(at_ns), 0.0, (1e-7, 0.0, 0.0))
     assert {forward: table.updates for forward, table in learner.tables.items()} == {True: 1, False: 1}
 
