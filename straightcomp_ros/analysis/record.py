@@ -21,7 +21,7 @@ SPEED_SPAN = 0.02
 MOVING = 0.5e-3
 """Speed in m/s from which the stage counts as moving: reached 2.5 ms after a start at 0.2 m/s²."""
 _CREEPING = 0.1
-"""Of the fastest, for a stage that is never twice as fast as that."""
+"""The same relative to the fastest, for slow stages."""
 ARRIVED = 1e-6
 """Distance in m from a stroke's resting ends within which the stage counts as standing: above its jitter."""
 SHORTEST_STROKE = 0.05e-3
@@ -251,7 +251,7 @@ def _strokes(time: Array, x: Array, first: int, end: int, half: int) -> Iterator
         # A single sample has no speed.
         speed = (x[after] - x[before]) / (time[after] - time[before])
     fastest = float(np.max(np.abs(speed), initial=0.0, where=np.isfinite(speed)))
-    slowest = MOVING if fastest >= 2.0 * MOVING else _CREEPING * fastest
+    slowest = min(MOVING, _CREEPING * fastest)
     way = np.where(np.abs(speed) >= slowest, np.sign(speed), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(way)) + 1, [n]])
     for start, stop in itertools.pairwise(edges.tolist()):

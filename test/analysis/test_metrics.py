@@ -219,10 +219,15 @@ def record_of(error, **motion):
     return StrokeRecord(time=time, x=x, y=zero - found, r=zero, current=zero, law="x")
 
 
-@pytest.mark.parametrize(("stroke", "speed"), [(1e-4, 0.3), (-0.002, 0.3), (0.002, 0.001)])
-def test_short_and_slow_movements_have_their_own_figures(stroke, speed):
-    record = record_of(lambda time, x: 0.0 * x, stroke=stroke, speed=speed, settle=0.3, pause=0.3)
+@pytest.mark.parametrize(
+    ("stroke", "speed", "ramp"), [(1e-4, 0.3, 1.5), (-0.002, 0.3, 1.5), (0.002, 0.001, 0.005), (0.002, 0.001, 1.0)]
+)
+def test_short_and_slow_movements_have_their_own_figures(stroke, speed, ramp):
+    motion = {"stroke": stroke, "speed": speed, "acceleration": speed / ramp, "settle": 0.3, "pause": 0.3}
+    record = record_of(lambda time, x: 0.0 * x, **motion)
     forward, backward = record.motion.strokes
+    # From a tenth of the ramp on.
+    assert record.time[forward.start] == approx(0.3 + 0.05 * ramp, abs=0.05 * ramp + 0.015)
     assert forward.direction == ("forward" if stroke > 0.0 else "backward") != backward.direction
     for figures in standstill_figures(record, record.reference):
         assert (figures.settling, figures.standstill_pp, figures.standstill_rms) == (0.0, 0.0, 0.0)
