@@ -127,8 +127,11 @@ class StraightnessMap:
             self.largest += max(float(np.abs(half[0](x)).max()), self._half.largest_beyond)
         self.directed = self._half is not None
         if self.largest > parameters.travel:
+            # A run-out as long as a short guide goes far beyond it.
+            inside = float(np.abs(self.evaluate(x)[0]).max()) > parameters.travel
+            where = "" if inside else f" where it runs out over {parameters.runout * 1e3:.4g} mm (runout)"
             raise SurveyError(
-                f"survey {survey.source}: the correction reaches {self.largest * 1e6:.4g} µm to each side; "
+                f"survey {survey.source}: the correction reaches {self.largest * 1e6:.4g} µm to each side{where}; "
                 f"allowed: <= {parameters.travel * 1e6:.4g} µm (travel)"
             )
 
