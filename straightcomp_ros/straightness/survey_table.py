@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding
+from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding, number_or_nan
 
 Direction = Literal["forward", "backward"]
 WAYS: tuple[Direction, ...] = ("forward", "backward")
@@ -115,6 +115,8 @@ class Table(NamedTuple):
 
 _SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
 """What instruments call the two quantities."""
+_OF_X = re.compile(r"(?<![a-z])(?:x|position|target)(?![a-z])")
+"""What is in the name of a further column of x, as ``Position back (mm)`` or ``x_mm.1``."""
 _NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/,]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
 _OWN_UNIT = re.compile(rf"(.*?(?:(?<=\d)-(?=[\s_]))?)(?:[\s_.:-]+|[\s_]*[\[(/,]\s*)({'|'.join(PER_METRE)})\s*[\])]?")
 _NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METRE} - {'in'})}|per)\s*$")
@@ -220,6 +222,8 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     rows = _rows(path, lines[first:], delimiter, header)
     if runs:
         _check_columns_of_runs(header_line, header, runs, rows)
+        if x not in own.values():
+            _check_other_x(header_line, header, header.index(x), rows)
         header, rows = _a_row_for_each(runs, header, rows)
     numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
@@ -395,6 +399,24 @@ def _check_columns_of_runs(
             raise SurveyError(
                 f"{where}: column '{at + 1 if nameless else name}' may be a run{lack}; allowed for a run: a name such "
                 f"as 'Run 1 forward [µm]' or 'Run 1- [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
+            )
+
+
+def _check_other_x(where: str, header: Sequence[str], x: int, rows: Sequence[tuple[str, int, list[str]]]) -> None:
+    """Raise SurveyError for a column beside those of runs that is as long as that of ``x`` and has other positions: a
+    run measured at them would be read at ``x``, turned round if it was listed as it was driven."""
+    for at, name in enumerate(header):
+        # Programs number the second of two equal names: x_mm.1.
+        _, unit = _name_and_unit(re.sub(r"\.\d+$", "", name))
+        if at == x or not unit or not _OF_X.search(name):
+            continue
+        both = ([number_or_nan(row[one].replace(",", ".")) for one in (x, at)] for *_, row in rows)
+        pairs = [pair for pair in both if all(map(math.isfinite, pair))] or [[0.0, 0.0]]
+        length, other = (max(column) - min(column) for column in zip(*pairs, strict=True))
+        if 0.5 * length < other < 2.0 * length and max(abs(a - b) for a, b in pairs) > 0.5 * length / (len(pairs) - 1):
+            raise SurveyError(
+                f"{where}: {name} (column {at + 1}) has other positions than {header[x]}; allowed: one x for all runs; "
+                "write runs at positions of their own one below the other, or choose x by --x-column"
             )
 
 

@@ -306,6 +306,26 @@ def test_a_column_that_is_computed_of_runs_or_has_another_unit_or_no_number_is_n
     assert len(read(f"x_mm,Run 1 (µm),Run 2 (µm),{beside}", *rows).runs) == 2
 
 
+def test_runs_by_columns_have_one_x(read):
+    def by_columns(name, of):
+        rows = (f"{x};{x % 30};{of(x)};{x % 40}" for x in range(0, 240, 10))
+        return [f"Position (mm);Forward (µm);{name};Backward (µm)", *rows]
+
+    others = {"Position bwd (mm)": lambda x: 230 - x, "x_mm.1": lambda x: f"{x + 5.5}".replace(".", ",")}
+    for name, of in others.items():
+        with pytest.raises(SurveyError):
+            read(*by_columns(name, of))
+        assert len(read(*by_columns(name, of), names={"x": "Position (mm)"}).runs) == 2
+    others = {
+        "Position 2 (mm)": lambda x: f"{x + 0.013}",
+        "X error (mm)": lambda x: x % 7 / 1e3,
+        "Rest (mm)": lambda x: -x,
+        "Position time (s)": lambda x: 0.8 * x,
+    }
+    for name, of in others.items():
+        assert len(read(*by_columns(name, of)).runs) == 2
+
+
 def test_a_total_in_a_column_without_a_name_is_no_run(read):
     rows = (f"{x};{x % 30};{x % 40};{'3,2' * (x == 230)}" for x in range(0, 240, 10))
     assert len(read("x_mm;Run 1 (µm);Run 2 (µm);", *rows).runs) == 2
