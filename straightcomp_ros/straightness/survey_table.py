@@ -455,7 +455,9 @@ def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[in
     cells = [(where, row, column, row[column].strip()) for where, _, row in rows for column in columns]
     texts = [cell for *_, cell in cells]
     marks = {mark for mark in ".," if any(mark in cell for cell in texts)}
+    # A mark that a number has twice separates thousands.
     decimal = {max(".,", key=cell.rfind) for cell in texts if "." in cell and "," in cell}
+    decimal |= {".,"[mark == "."] for mark in marks if any(cell.count(mark) > 1 for cell in texts)}
     decimal = decimal or {
         mark for mark in marks if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)
     }
@@ -474,7 +476,7 @@ def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[in
                 f"{marked[0]}: {marked[3]!r}: its mark may be a decimal mark, or separate thousands; allowed: "
                 "thousands without any mark, or decimals in every number, as in 312.0"
             )
-    point = "".join(decimal if len(marks) == 2 else marks)
+    point = "".join(decimal or marks)
     other = "," if point == "." else "."
     for where, row, column, cell in cells:
         whole, mark, fraction = cell.partition(point) if point else (cell, "", "")

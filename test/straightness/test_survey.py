@@ -435,6 +435,13 @@ def test_a_spreadsheet_has_the_value_that_it_shows_in_every_encoding_of_spreadsh
     np.testing.assert_allclose(run.deviation, UM * 1e-6, atol=1e-12)
 
 
+@pytest.mark.parametrize("written", [lambda v: german(v, 0), lambda v: f"{v:,.0f}"])
+def test_a_mark_that_a_number_has_twice_separates_thousands(read, written):
+    (run,) = read(csv("x_um;deviation_nm", lambda v: written(v * 1e3), x=lambda v: written(v * 1e3 + 9e5))).runs
+    np.testing.assert_allclose(run.x, X * 1e-3 + 0.9, atol=1e-12)
+    np.testing.assert_allclose(run.deviation, UM * 1e-6, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     "text",
     [
