@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Choices, build
-from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole_ways
+from straightcomp_ros.analysis.record import (
+    SHORTEST_STROKE,
+    MetricsError,
+    Stroke,
+    group_means,
+    motion_of,
+    runs_of,
+    whole_ways,
+)
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.guide_map import MapParameters
@@ -36,6 +44,11 @@ _STOP = 0.2
 """Time in s from which a stand between two moves of a run is a stop for a measurement."""
 _FEWEST_STOPS = 5
 """Stops from which a run is measured at rest."""
+_SLOW = 0.05
+"""Time in s between samples from which a move from stop to stop may have few samples."""
+_FEW_STEPS = 4
+"""Steps from sample to sample of a move, of which the first and the last may be too slow for a stroke, and the others
+too few."""
 _HALF_WINDOW = 7
 """Readings to each side with which a reading is compared to find spikes."""
 
@@ -134,6 +147,24 @@ def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series 
     return Series(str(path), columns[0] - columns[0, 0], columns[1], columns[2], 0, inputs)
 
 
+def _with_samples_in_moves(series: Series) -> Series:
+    """A slow logger's series with two samples more within each step of a move between stands that has few.
+
+    Strokes are found by the samples within them; points at rest take none of these.
+    """
+    columns = np.stack([series.time, series.x, series.deviation])
+    steps = np.diff(columns)
+    if np.median(steps[0]) < _SLOW:
+        return series
+    moves = [move for move in runs_of(np.abs(steps[1]) >= SHORTEST_STROKE).tolist() if move[1] - move[0] <= _FEW_STEPS]
+    # A reading of x that was wrong once comes back, and on the fly few steps between stands are short.
+    moves = [move for move in moves if abs(columns[1, move[1]] - columns[1, move[0]]) >= 10.0 * SHORTEST_STROKE]
+    inside = np.array([at for move in moves for at in range(*move)], dtype=np.intp)
+    added = columns[:, inside, None] + steps[:, inside, None] * np.array([1.0, 2.0]) / 3.0
+    time, x, deviation = np.insert(columns, np.repeat(inside + 1, 2), added.reshape(3, -1), axis=1)
+    return replace(series, time=time, x=x, deviation=deviation)
+
+
 class Passage(NamedTuple):
     """One run as it was recognised: when it was driven in s, whether its points were measured at stops, and the numbers
     of its readings and of those that were rejected."""
@@ -154,6 +185,7 @@ def recognise(
 
     On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
     """
+    series = _with_samples_in_moves(series)
     try:
         strokes = motion_of(series.time, series.x).strokes
     except MetricsError as error:

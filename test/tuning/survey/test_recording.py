@@ -101,6 +101,19 @@ def test_stops_make_points_of_their_second_halves():
     assert built.straightness.span == pytest.approx((0.0, LENGTH))
 
 
+@pytest.mark.parametrize("samples_within", range(5))
+def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path, samples_within):
+    stops, path = np.linspace(0.0, LENGTH, 9), tmp_path / "slow.csv"
+    _, x = driven(*stops, *stops[-2::-1], rate=(samples_within + 1) * SPEED / stops[1] * 0.999, rest=5.0)
+    rows = (f"{0.5 * k},{a * 1e3},{guide(a) * 1e6}\n" for k, a in enumerate(x))
+    path.write_text("time_s,x_mm,deviation_um\n" + "".join(rows))
+    passages, partial = recognise(series_of_csv(path), 5e-3, 6.0)
+    assert [passage.run.direction for passage in passages] == ["forward", "backward"] and partial == 0
+    for passage in passages:
+        assert passage.run.x == pytest.approx(stops, abs=1e-9)
+        assert passage.run.deviation == pytest.approx(guide(stops), abs=1e-12)
+
+
 def test_too_few_stops_are_refused_without_the_advice_that_is_for_runs_on_the_fly():
     stops = np.linspace(0.0, LENGTH, 12)
     time, x = driven(*stops, *stops[-2::-1])
