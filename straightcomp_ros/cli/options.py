@@ -248,8 +248,11 @@ def _checked(params_file: str | None, stage: str | None, changes: Values, namesp
 
 
 def settings(assignments: list[str]) -> Values:
-    """What assignments NODE.NAME=VALUE set, by node and dotted name; raises ParameterError for another form."""
-    from straightcomp_ros.parameters.declaration import ParameterError
+    """What assignments NODE.NAME=VALUE set, by node and dotted name; raises ParameterError for another form.
+
+    A number is a text where the parameter is one: ``stage.serial=0123``.
+    """
+    from straightcomp_ros.parameters.declaration import ParameterError, declarations
     from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
     from straightcomp_ros.parameters.yaml_text import YamlError, load_yaml
 
@@ -261,7 +264,11 @@ def settings(assignments: list[str]) -> Values:
             known = ", ".join((STAGE, *NODE_PARAMETERS))
             raise ParameterError(f"--set {assignment!r}: allowed: NODE.NAME=VALUE with NODE one of {known}")
         try:
-            changes.setdefault(node, {})[name] = load_yaml(text)
+            value = load_yaml(text)
         except YamlError as error:
             raise ParameterError(f"--set {assignment!r}: {text!r} is no YAML; put a text in quotes") from error
+        # Each node that works with the stage declares all of its facts.
+        of, full = ("driver", target) if node == STAGE else (node, name)
+        is_text = any(one.name == full and one.kind is str for one in declarations(NODE_PARAMETERS[of]))
+        changes.setdefault(node, {})[name] = value if isinstance(value, str) or not is_text else text
     return changes

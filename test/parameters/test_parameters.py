@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from scripts import make_parameter_file
-from straightcomp_ros.cli.options import chosen_parameters
+from straightcomp_ros.cli.options import chosen_parameters, settings
 from straightcomp_ros.parameters.declaration import (
     ParameterError,
     declarations,
@@ -228,6 +228,20 @@ def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alon
             last = re.escape(keys[-1].replace(":", "/"))
             with pytest.raises(ParameterError, match=rf"p\.yaml: is for other nodes .*{last}; allowed: /\*\*/NODE"):
                 read_parameter_file(path, namespace)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "node", "value"),
+    [
+        ("stage.guide.smooth=1", "stage", {"guide.smooth": "1"}),
+        ('stage.serial="0123"', "stage", {"serial": "0123"}),
+        ("driver.can.wire.command.signal=N", "driver", {"can.wire.command.signal": "N"}),
+        ("driver.can.wire.protection.sample.data_id=0x123", "driver", {"can.wire.protection.sample.data_id": "0x123"}),
+        ("feedforward.stage.rate=0x3e8", "feedforward", {"stage.rate": 1000}),
+    ],
+)
+def test_a_number_that_is_set_is_a_text_where_the_parameter_is_one(assignment, node, value):
+    assert settings([assignment]) == {node: value}
 
 
 COMMON, OWN = {"/**": 4.0}, {"/**/driver": 5.0}
