@@ -77,16 +77,16 @@ def main(
     print_in_any_encoding()
     warn_in_sentences()
     given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["--version"]:
-        from xml.etree import ElementTree
-
-        print(f"{program} {ElementTree.parse(share_path('package.xml')).findtext('version')}")
-        return 0
-    found = installed_verbs() if verbs is None else {name: Verb(module) for name, module in verbs.items()}
-    # A verb that is named is imported alone: all of them together take seconds.
-    named = given[0] if given and given[0] in found else None
-    words = [program]
+    words, named = [program], None
     try:
+        if given[:1] == ["--version"]:
+            from xml.etree import ElementTree
+
+            print(f"{program} {ElementTree.parse(share_path('package.xml')).findtext('version')}", flush=True)
+            return 0
+        found = installed_verbs() if verbs is None else {name: Verb(module) for name, module in verbs.items()}
+        # A verb that is named is imported alone: all of them together take seconds.
+        named = given[0] if given and given[0] in found else None
         if not found:
             raise CommandFailed("no verb is installed; remedy: pip install straightcomp_ros, in a checkout make setup")
         parser = make_parser(given[:2] if named else [], found, program)

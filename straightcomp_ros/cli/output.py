@@ -33,6 +33,10 @@ class _Console(Console):
             options = {"soft_wrap": True, "highlight": False, **options}
         super().print(*objects, **options)
 
+    def on_broken_pipe(self) -> None:
+        """Leave it to `main`, as for what is not printed by rich, which would end with exit code 1."""
+        raise
+
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
         return super().render_str(printable(text), **options)
 

@@ -10,6 +10,7 @@ from unittest.mock import Mock
 from xml.etree import ElementTree
 
 import pytest
+from places import REPOSITORY
 
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, make_parser
@@ -214,10 +215,13 @@ def test_the_version_is_the_manifests(verb):
     assert verb("--version") == (0, f"straightcomp {version}\n", "")
 
 
-def test_a_reader_that_goes_away_ends_a_command_without_a_word():
+@pytest.mark.parametrize(
+    "words", ["completion bash", "--version", f"map build {REPOSITORY}/config/survey_synthetic.csv"]
+)
+def test_a_reader_that_goes_away_ends_a_command_without_a_word(words):
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-m", "straightcomp_ros.cli.main", "completion", "bash"]
+    command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words.split()]
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
     os.close(write)
     assert (done.stderr, done.returncode) == ("", 141)
