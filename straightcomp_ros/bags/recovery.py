@@ -5,7 +5,6 @@ of a length may be of a later version of MCAP, if another record follows. Behind
 sound chunk, wherever it starts.
 """
 
-import shutil
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -33,6 +32,7 @@ from straightcomp_ros.bags.mcap_input import (
 from straightcomp_ros.bags.reader import COMPRESSIONS
 from straightcomp_ros.bags.topics import TopicQos
 from straightcomp_ros.bags.writer import BagWriter
+from straightcomp_ros.parameters.output_files import clear
 
 RECOVERY_METADATA, UNFINISHED_FILES, LOST_FILES = "recovery", "unfinished_files", "lost_files"
 """Metadata record of a recovered bag: what it was made from, and what was lost; its keys of the files that the recorder
@@ -111,7 +111,7 @@ def recover(
             result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
     if not readable:
         raise refused[0]
-    writer = BagWriter(output)
+    made, writer = not output.exists(), BagWriter(output)
     try:
         with writer:
             for path in readable:
@@ -126,7 +126,7 @@ def recover(
             writer.add_metadata(RECOVERY_METADATA, facts)
     except BaseException:
         # Half a copy would pass as a whole bag, whatever ended it: Ctrl-C too.
-        shutil.rmtree(output)
+        clear(output, made=made)
         raise
     result.time_range = writer.finished_files[0].time_range
     return result

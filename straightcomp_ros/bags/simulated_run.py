@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ from straightcomp_ros.bags.recorded_nodes import attach_parameters
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import COMMAND, CONTROLLER_STATE, DRIVER_STATE, ENCODER, REFERENCE, STREAMS, TRUTH
+from straightcomp_ros.parameters.output_files import clear
 
 START_NS = 1_000_000_000
 """Stamp of the first sample: simulated time has no date, but ROS takes a stamp of zero for none."""
@@ -66,8 +66,4 @@ class SimulatedRun:
         finally:
             if kind is not None and not issubclass(kind, Exception):
                 # Half of a run in simulated time would be taken for a whole one.
-                with suppress(OSError):
-                    for file in self._bag.directory.iterdir():
-                        file.unlink()
-                    if self._made:
-                        self._bag.directory.rmdir()
+                clear(self._bag.directory, made=self._made)

@@ -7,14 +7,13 @@ judges the run again, draws it, and computes every command again. The first line
 import argparse
 import contextlib
 import json
-import shutil
 from datetime import datetime
 from pathlib import Path
 from shlex import quote
 
 from straightcomp_ros.cli.options import add_force, add_json, output_file, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
-from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.parameters.output_files import clear, write_whole
 
 SUMMARY = "pack an incident into one file, or open one"
 PURPOSE = "judge"
@@ -72,12 +71,15 @@ def _open(options: argparse.Namespace) -> None:
     file = Path(options.file)
     if not file.is_file():
         raise CommandFailed(f"{file}: is no file", exit_code=2)
-    folder = output_folder("--output", options.output or str(file.with_suffix("")), empty=True)
+    name = options.output or str(file.with_suffix(""))
+    made, folder = not Path(name).exists(), output_folder("--output", name, empty=True)
     try:
         details = unpack(file, folder)
-    except IncidentError as error:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise CommandFailed(str(error), exit_code=2) from error
+    except BaseException as error:
+        clear(folder, made=made)
+        if isinstance(error, IncidentError):
+            raise CommandFailed(str(error), exit_code=2) from error
+        raise
     logs = {one.name: one.read_text(errors="replace") for one in sorted(folder.glob("logs/*"))}
     with working("judging"):
         found = judged(folder / BAG, logs)

@@ -241,6 +241,16 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
+def clear(folder: Path, *, made: bool) -> None:
+    """Remove what is in a folder that was empty or absent before, and the folder if it was ``made`` since, as far as
+    that goes: there is an error already."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            remove(path)
+        if made:
+            folder.rmdir()
+
+
 def _files(path: Path) -> dict[str, list[int]]:
     """Size and time of the last change of each file under ``path``, by its name there; links are not followed."""
     inside = path.is_dir() and not path.is_symlink()

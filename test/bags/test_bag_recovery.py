@@ -146,7 +146,11 @@ def test_a_bag_may_have_more_files_than_a_process_may_open(tmp_path):
 
 
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, Terminated, OSError, ZeroDivisionError])
-def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path, stop):
+@pytest.mark.parametrize("there", [[], ["new"], ["of_the_user", "new"]])
+def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path, stop, there):
+    """The folder that is named may be there already, or be a link to one."""
+    for number, name in enumerate(there):
+        (tmp_path / name).symlink_to(there[0]) if number else (tmp_path / name).mkdir()
     bag, before = recorded(tmp_path / "run"), {path.name for path in tmp_path.iterdir()}
 
     def edit(name, data):
@@ -155,6 +159,7 @@ def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path
     with pytest.raises(stop):
         recover(bag.directory, tmp_path / "new", edit=edit)
     assert {path.name for path in tmp_path.iterdir()} == before and bag.file.exists()
+    assert not there or not any((tmp_path / "new").iterdir())
 
 
 def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):

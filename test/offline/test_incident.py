@@ -247,6 +247,8 @@ def test_an_archive_that_is_no_incident_is_refused_and_nothing_of_it_is_left(
     shutil.rmtree(inside)
     assert sorted(one.name for one in tmp_path.rglob("*")) == ["a", "evil.zip"]
     assert verb("incident", "open", file, "-o", tmp_path / "c").code == 2 and not (tmp_path / "c").exists()
+    inside.mkdir()
+    assert verb("incident", "open", file, "-o", inside).code == 2 and inside.exists() and not any(inside.iterdir())
 
 
 @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.999])
