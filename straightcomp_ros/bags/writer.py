@@ -16,7 +16,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.topics import Topic
-from straightcomp_ros.parameters.output_files import sync_names, write_whole
+from straightcomp_ros.parameters.output_files import sync_names, utf8, write_whole
 
 Message = tuple[str, bytes, int, int]
 """Topic, serialised message, time of reception and of its source in ns since the epoch."""
@@ -168,6 +168,7 @@ class BagWriter:
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Store texts by name: as a record of the MCAP file, and as ``name.key`` in the bag's custom data."""
+        metadata = {key: utf8(value).decode() for key, value in metadata.items()}  # the name of a file may be no UTF-8
         with self._disk(f"bag {self.path}: metadata '{name}' cannot be written"):
             self._output.add_metadata(name, metadata)
         self._custom_data.update({f"{name}.{key}": value for key, value in metadata.items()})

@@ -38,7 +38,7 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline.audit import audit
 from straightcomp_ros.parameters.declaration import ParameterError
-from straightcomp_ros.parameters.output_files import json_text, write_whole
+from straightcomp_ros.parameters.output_files import json_text, utf8, write_whole
 from straightcomp_ros.parameters.yaml_text import YamlError, dump_yaml, load_yaml
 from straightcomp_ros.safety.faults import LABELLED, explained, one_line
 
@@ -176,10 +176,10 @@ def pack(
         texts = {name: data.decode(errors="replace") for name, data in contents.items() if name.startswith("logs/")}
         found = judged(copy, texts)
         doctor = [asdict(one) for one in findings]
-        contents[DOCTOR] = json_text(doctor).encode()
+        contents[DOCTOR] = utf8(json_text(doctor))
         last_reports = {node: one[-1]._asdict() for node, one in found.reports.items() if one}
-        contents["diagnostics.json"] = json_text(last_reports | {"faults": found.to_json()["faults"]}).encode()
-        contents["versions.json"] = json_text(_versions()).encode()
+        contents["diagnostics.json"] = utf8(json_text(last_reports | {"faults": found.to_json()["faults"]}))
+        contents["versions.json"] = utf8(json_text(_versions()))
         files = {f"{BAG}/{one.name}": one.read_bytes() for one in sorted(copy.iterdir())}
         contents |= files
         _check_size(bag, sum(map(len, contents.values())))
@@ -191,8 +191,8 @@ def pack(
             "left_out": left_out,
             "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()},
         }
-        contents[DETAILS] = json_text(details).encode()
-        contents[SUMMARY] = f"{summary(details, doctor)}\nopen it with: straightcomp incident open FILE\n".encode()
+        contents[DETAILS] = utf8(json_text(details))
+        contents[SUMMARY] = utf8(f"{summary(details, doctor)}\nopen it with: straightcomp incident open FILE\n")
         archive = Path(place) / "incident.zip"
         with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as target:
             for name in (SUMMARY, *(name for name in contents if name != SUMMARY)):

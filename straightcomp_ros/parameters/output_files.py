@@ -31,7 +31,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
     the link that leads to it; write only where no other user can make one. A pipe or a device gets the content itself.
 
     Args:
-        content: a text is written as UTF-8; bytes of a file's name that are none, as ``\\udcfc``.
+        content: a text is written as of :func:`utf8`.
         folder: of the new file until it is whole, on the same file system; that of ``path`` by default.
         private: readable for its owner only, whatever its mode was before.
 
@@ -39,7 +39,7 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
         OSError: it cannot be written; ``filename`` is ``path``, and what was there is untouched.
     """
     path = Path(path)
-    data = content.encode(errors="backslashreplace") if isinstance(content, str) else content
+    data = utf8(content) if isinstance(content, str) else content
     target = Path(os.path.realpath(path))
     # Short enough for every file system. Readers of a folder leave out names with a dot.
     part = (folder or target.parent) / f".{target.name[:40]}.{secrets.token_hex(8)}.part"
@@ -66,6 +66,11 @@ def write_whole(path: str | Path, content: str | bytes, folder: Path | None = No
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
     sync_names(target.parent)
+
+
+def utf8(text: str) -> bytes:
+    """The text as UTF-8; bytes of a file's name that are none, as ``\\udcfc``, which JSON reads as the name again."""
+    return text.encode(errors="backslashreplace")
 
 
 def check_writable(path: str | Path) -> None:

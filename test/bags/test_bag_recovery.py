@@ -3,6 +3,7 @@
 import os
 import random
 import resource
+import shutil
 import time
 from pathlib import Path
 
@@ -172,6 +173,13 @@ def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):
             bag.write("/encoder", ENCODER.layout.pack(5, 1, 2, 3, 4), START_NS, 5)
             time.sleep(0.01)
     assert sizes[0] == sizes[1] < sizes[2]
+
+
+def test_a_bag_whose_name_is_no_utf8_is_recovered_and_packed(tmp_path, verb):
+    shutil.copytree(SMC, bag := tmp_path / os.fsdecode(b"b\xfc"))
+    assert verb("recover", bag, "-o", tmp_path / "new").code == 0 and contents(tmp_path / "new") == contents(SMC)
+    assert verb("incident", bag, "--last", "0.3", "-o", tmp_path / "i.zip").code == 0
+    assert verb("incident", "open", tmp_path / "i.zip", "--json").json["as_packed"]["bag"] == bag.name
 
 
 def test_the_command_prints_what_was_saved_and_lost(tmp_path, verb):
