@@ -6,6 +6,7 @@ The file has one user a line, ``name:role:salt:hash``, the password as a scrypt 
 import hashlib
 import hmac
 import logging
+import os
 import re
 import secrets
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from pathlib import Path
 
 from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
 from straightcomp_ros.parameters.output_files import locked, write_whole
+from straightcomp_ros.parameters.yaml_text import bounded_bytes
 
 _log = logging.getLogger(__name__)
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -140,12 +142,12 @@ def add_user(path: Path, name: str, password: str, role: str | None = None) -> s
     if path.exists():
         _users(path)
     try:
-        real = path.resolve()
+        real = Path(os.path.realpath(path))  # of links in a loop, too
         with locked(real.with_name(f".{real.name}.lock")):
             known = _users(path) if path.exists() else {}
             role = role or (known[name][0] if name in known else OPERATOR)
             # Comments and the order of the lines are the administrator's.
-            lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+            lines = path.read_text(encoding="utf-8-sig").splitlines() if path.exists() else []
             lines = [line for line in lines if line.startswith("#") or line.split(":")[0].strip() != name]
             lines.append(f"{name}:{role}:{salt.hex()}:{hashed.hex()}")
             write_whole(path, "\n".join(lines) + "\n", private=True)
@@ -157,9 +159,11 @@ def add_user(path: Path, name: str, password: str, role: str | None = None) -> s
 def _users(path: Path) -> dict[str, tuple[str, bytes, bytes]]:
     """Role, salt and hash by name."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = bounded_bytes(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise AdmissionError(f"users file {path}: cannot be read: {error}") from error
+        raise AdmissionError(
+            f"users file {path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from error
     entries = {}
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip() or line.startswith("#"):

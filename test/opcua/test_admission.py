@@ -1,5 +1,6 @@
 """The file of users, which parameters admit whom, and the alarms."""
 
+import os
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -42,9 +43,12 @@ def test_what_is_no_user_is_refused(tmp_path, name, password, role, words):
     path.write_text("# ours\nann:operator:00\n")
     with pytest.raises(AdmissionError, match="line 2"):
         Users(path)
-    for folder in (tmp_path, "/"):
-        with pytest.raises(AdmissionError, match="Is a directory"):
-            add_user(Path(folder), "ann", "long enough", "viewer")
+    (loop := tmp_path / "loop").symlink_to("loop")
+    os.mkfifo(pipe := tmp_path / "pipe")
+    other = [(tmp_path, "Is a directory"), ("/", "Is a directory"), (loop, "Too many levels"), (pipe, "is a pipe")]
+    for found, why in [*other, ("/dev/full", "is larger than")]:
+        with pytest.raises(AdmissionError, match=why):
+            add_user(Path(found), "ann", "long enough", "viewer")
 
 
 def test_the_verb_writes_the_file(tmp_path, monkeypatch, verb):
@@ -57,6 +61,9 @@ def test_the_verb_writes_the_file(tmp_path, monkeypatch, verb):
     assert user("long enough", "ann") == user("long enough", "bob", "--role", "viewer") == 0
     assert Users(users).role("ann", "long enough") == "operator"
     assert user("a new password", "bob") == 0 and Users(users).role("bob", "a new password") == "viewer"
+    # An editor has put a byte order mark in front.
+    users.write_bytes(b"\xef\xbb\xbf" + users.read_bytes())
+    assert user("another one", "ann") == 0 and users.read_text().count("ann:") == 1
     assert user("x", "ann") == user("M\udcfcller12345", "ann") == 2
 
 

@@ -259,7 +259,7 @@ def _map(options: argparse.Namespace) -> None:
     check_range("--days", options.days, 0.01, 3650.0, "days")
     old = find_survey(options.survey)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
-    if output is not None and output.resolve() == old:
+    if output is not None and os.path.realpath(output) == str(old):
         raise CommandFailed(f"--output {output}: is the present map; name another file", exit_code=2)
     guide = chosen_guide(options)
     proposal = proposed_map(Store(options.store).strokes(options.name), Path(old), options.days, guide)

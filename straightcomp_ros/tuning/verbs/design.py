@@ -3,6 +3,7 @@
 Takes up to two minutes on two cores. Where no gains have margins, it says what would have to change; exit code 1."""
 
 import argparse
+import os
 import re
 import time
 from collections.abc import Iterable
@@ -95,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _writable(source: Path, output: Path) -> None:
     """Refuse to write what would lose something, before two minutes of work."""
-    if output.resolve().parent != source.resolve().parent:
+    if os.path.dirname(os.path.realpath(output)) != os.path.dirname(os.path.realpath(source)):
         raise CommandFailed(
             f"--output {output}: is in another folder than {source}, where the survey is; name a file there",
             exit_code=2,
