@@ -8,8 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-_LARGEST = 1_000_000
-"""Bytes of a file that are read."""
+from straightcomp_ros.parameters.yaml_text import bounded_bytes
+
 _LOOK_EVERY_S = 1.0
 
 
@@ -21,14 +21,13 @@ def read_advice(path: Path) -> str:
     """What is due by a file of advice and as of which day, in one line; empty if nothing is. MaintenanceError, which
     names the file, if it cannot be read or is none."""
     try:
-        with path.open("rb") as file:
-            tree = json.loads(file.read(_LARGEST))
+        tree = json.loads(bounded_bytes(path, 1))
         sentences = [f"{one['text']}; {one['remedy']}" for one in tree["advice"]]
         _, day = tree["stage"], tree["as_of"]  # both must be there
         return f"as of {day}: {' | '.join(sentences)}" if sentences else ""
     except OSError as error:
         raise MaintenanceError(f"maintenance file {path}: cannot be read: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         why = f"is no file of advice ({type(error).__name__}: {error}); write it by `straightcomp history advise`"
         raise MaintenanceError(f"maintenance file {path}: {why}") from error
 

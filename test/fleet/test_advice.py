@@ -235,8 +235,15 @@ def test_a_file_is_read_again_when_it_changes_and_not_more_often_than_once_a_sec
     path.write_text(json.dumps({"stage": "a", "as_of": "2026-05-02", "advice": []}))
     now = 2.0
     assert watched.due() == ""
-    os.remove(path)
+    path.write_text("[" * 100_000)
     now = 3.0
+    assert "is no file of advice" in watched.due()
+    os.remove(path)
+    os.mkfifo(path)
+    now = 4.0
+    assert "is a pipe" in watched.due()
+    os.remove(path)
+    now = 5.0
     assert watched.due() == WatchedAdvice("", lambda: now).due() == ""
 
 
