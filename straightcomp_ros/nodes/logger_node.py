@@ -48,6 +48,8 @@ LAST_S = 60
 """Time in s before the fault that an incident has: some 30 MB at 2 kHz, which bounds its size."""
 _AFTER_S = 2.0
 """Wait in s after the fault, in which each node reports it once and the bag has what follows it."""
+_OWN_NAMES = "????_??_??-??_??_??_*.zip"
+"""Of the incidents that are packed here: another file in their folder is the user's."""
 _IDLE = ("chrt", "--idle", "0")
 """Before a command: it then takes no CPU from any node, whatever priority the node has that starts it."""
 
@@ -107,7 +109,7 @@ class FaultIncidents:
         try:
             # The file just packed is the newest; what seems newer is from before the clock was set back.
             others = sorted(
-                set(file.parent.glob("*.zip")) - {file},
+                set(file.parent.glob(_OWN_NAMES)) - {file},
                 key=lambda one: (one.name < file.name, one.name),
                 reverse=True,
             )

@@ -251,16 +251,17 @@ def test_the_incident_just_packed_is_kept_whatever_the_clock_was_before(tmp_path
     names = [f"2{year}_01_01-00_00_00_x_jump.zip" for year in (100, 101, 102, 103)]
     for name in names:
         (folder / name).touch()
+    (folder / (own := "of_the_user.zip")).touch()
     incidents, packed = FaultIncidents(node := Mock(), number, lambda: tmp_path / "bag"), []
     _, work = node.create_timer.call_args[0]
     for fault in ("tripped", "y_frozen", "z_fault"):
         incidents._on_safety_state(DiagnosticStatus(name=fault))
         packed.insert(0, f"{fault}.zip")
-        expected = {*packed[:number], *sorted(names, reverse=True)[: max(0, number - len(packed))]}
+        expected = {own, *packed[:number], *sorted(names, reverse=True)[: max(0, number - len(packed))]}
 
         def kept(expected=expected):
             work()
-            return {one.name if one.name in names else one.name[20:] for one in folder.iterdir()} == expected
+            return {one.name if one.name in (own, *names) else one.name[20:] for one in folder.iterdir()} == expected
 
         assert comes_true(kept, 120.0)
 
