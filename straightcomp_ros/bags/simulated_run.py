@@ -33,11 +33,15 @@ class SimulatedRun:
         self._bag = BagWriter(directory)
         self._delay, self._applied = delay, 0.0
         self._last_ns: int | None = None
-        for stream in STREAMS:
-            self._bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000)))
-        # A simulation has a feedforward, also where all its parameters are defaults.
-        attach_parameters(self._bag, {"feedforward": {}, **parameters})
-        self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
+        try:
+            for stream in STREAMS:
+                self._bag.add(Topic(f"/{stream.topic}", stream.layout.type_name, TopicQos("best_effort", depth=1000)))
+            # A simulation has a feedforward, also where all its parameters are defaults.
+            attach_parameters(self._bag, {"feedforward": {}, **parameters})
+            self._bag.add_metadata("simulation", {"delay_samples": str(delay)})
+        except BaseException as error:
+            self.__exit__(type(error))
+            raise
 
     def add(self, sample: Any, truth: Any, reference: Any, command: Any, reference_age: float) -> None:
         """Write one sample: `Sample` and `Truth` of the hardware, (r, ṙ, r̈), the law's `Command`, and the age in s of

@@ -121,7 +121,8 @@ def _run_cycles(options: argparse.Namespace, values: Values) -> tuple[StrokeReco
     simulation = Simulation(values)
     cycles: list[Run] = []
     opened = SimulatedRun(Path(options.bag), by_node(values), simulation.delay) if options.bag else nullcontext()
-    with working("simulating") as advance, opened as bag:
+    # The bag first: Ctrl-C removes it also while the progress bar is imported.
+    with opened as bag, working("simulating") as advance:
         for _ in range(options.strokes):
             record = simulation.run(
                 lambda fraction: advance((len(cycles) + fraction) / options.strokes), bag.add if bag else None
