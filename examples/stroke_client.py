@@ -51,8 +51,8 @@ if __name__ == "__main__":
         sys.exit(f"{__doc__}\nThe number is that of the strokes, each forward and back: 1 to 1000.")
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # after Ctrl-C the amplifier can still be switched off
     client = StrokeClient()
-    client.switch(True)
     try:
+        client.switch(True)
         client.move(MotionParameters(), int(sys.argv[1]))  # of the shipped stage
     except KeyboardInterrupt:
         sys.exit("interrupted")

@@ -151,12 +151,13 @@ def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_gr
     assert set(faults) == {"logger"} and len(faults["logger"]) <= LONGEST_REASON and faults["logger"].isprintable()
 
 
-def enabling(node, success=True):
-    """What is asked for of the service `driver/enable`, which a node offers."""
+def enabling(node, success=True, before=lambda: None):
+    """What is asked for of the service `driver/enable`, which a node offers; what is done before it is answered."""
     asked = []
 
     def enable(request, response):
         asked.append(request.data)
+        before()
         response.success, response.message = success, "no"
         return response
 
@@ -165,12 +166,14 @@ def enabling(node, success=True):
 
 
 def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
-    asked, driver = enabling(participant.node), Driver()
+    impatient, driver = [], Driver()
+    asked = enabling(participant.node, before=lambda: impatient and impatient.pop().send_signal(signal.SIGINT))
     example = str(REPOSITORY / "examples" / "stroke_client.py")
 
-    def ended(words, end=lambda client: None):
+    def ended(words, end=lambda client: None, waits=True):
         asked.clear()
         with subprocess.Popen([sys.executable, example, *words], stderr=subprocess.PIPE, text=True) as client:
+            impatient[:] = [] if waits else [client]
             participant.until(lambda: asked or client.poll() is not None)
             participant.spin(0.5)
             end(client)
@@ -181,6 +184,7 @@ def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(parti
     code, said, seen = ended(["0"])
     assert code == 1 and seen == [] and "1 to 1000" in said
     assert ended(["3"], lambda client: client.send_signal(signal.SIGINT)) == (1, "interrupted", [True, False])
+    assert ended(["3"], waits=False) == (1, "interrupted", [True, False])
     fault = Latched(Fault.Y_FROZEN, "y stands", 0)
     code, said, seen = ended(["3"], lambda client: driver.say(State.FAULT, fault))
     assert (code, seen) == (1, [True, False]) and said.startswith("amplifier off: y_frozen")
