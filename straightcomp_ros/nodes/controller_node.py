@@ -222,6 +222,8 @@ class ControllerComponent:
         self._seen = self._samples_seen
         self._silent = self._silent + 1 if silent else 0
         if self._silent == self._silence_looks:
+            # The servo ends it with the next sample, which a new driver may not send before it is activated.
+            self._excitation.stop("samples were missing")
             self._trip(
                 Fault.SAMPLE_TIMEOUT, f"the controller has had no sample for {self._parameters.sample_timeout:g} s"
             )
@@ -271,12 +273,16 @@ class ExcitationService:
             if self._servo.running:
                 self._left_travel(injection.stopped)
 
+    def stop(self, reason: str) -> None:
+        """End the excitation early, if there is one."""
+        if self._injection is not None:
+            self._injection.stop(reason)
+
     def _on_excite(self, on: bool) -> str:
         """Inject what the parameters `excitation.*` describe into the commands (refused while the amplifier is off), or
         end that early."""
         if not on:
-            if self._injection is not None:
-                self._injection.stop("it was stopped by request")
+            self.stop("it was stopped by request")
             return "stops"
         if not self._servo.running:
             raise Refused("the amplifier is off; switch it on first")

@@ -22,12 +22,15 @@ from waiting import wait_for_line
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.cell.launcher import RECORDED, verb_command
 from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
 from straightcomp_ros.runtime.loops import WorkerThread, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
+from straightcomp_ros.safety.faults import Fault
+from straightcomp_ros.timing.node_timing import EXCITING
 
 MANAGED = {
     one[0]: one
@@ -132,6 +135,21 @@ def test_a_controller_saves_what_it_learned_when_the_last_pass_has_been_learned(
     controller_node.ControllerComponent.deactivate(SimpleNamespace(_worker=worker, _learning=learning, **ends))
     worker.close()
     assert done == ["learned", "saved"]
+
+
+def test_an_excitation_ends_when_the_samples_end_so_that_a_new_driver_may_be_activated():
+    servo = SimpleNamespace(running=True, inject=Mock())
+    injection = Injection(np.ones(100), fade=10, limit=1.0, travel=1.0)
+    service = controller_node.ExcitationService(Mock(), servo, lambda: injection, Mock())
+    service._on_excite(True)
+    silent = {"_samples_seen": 7, "_seen": 7, "_silent": 0, "_silence_looks": 2, "_excitation": service}
+    parameters = SimpleNamespace(sample_timeout=0.03)
+    controller = SimpleNamespace(**silent, _node=SimpleNamespace(active=True), _trip=Mock(), _parameters=parameters)
+    for reported in (EXCITING, "samples were missing"):
+        controller_node.ControllerComponent._look_for_silence(controller)
+        service.look()
+        assert service.state == reported
+    assert controller._trip.call_args.args[0] is Fault.SAMPLE_TIMEOUT
 
 
 UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean 'realtime.priority'")
