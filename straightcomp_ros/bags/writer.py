@@ -125,11 +125,16 @@ class BagWriter:
             raise self._refused(error) from error
 
     def write_all(self, messages: Sequence[Message]) -> None:
-        """Add messages in this order, as :meth:`write` adds one: faster when all of them go into the open file."""
+        """Add messages in this order, as :meth:`write` adds one: faster when all of them go into the open file. Where
+        the clock was set back, they begin another file once all of them are of after that."""
         ids, times = self._channel_ids, [log_time_ns for _, _, log_time_ns, _ in messages]
+        began_ns = self._file_began_ns
+        if began_ns is not None and times and 0 < self._max_duration_ns <= began_ns - max(times):
+            # Else the file would last until that time comes again. Around a step of the clock topics alternate.
+            self.split()
         sound = times and min(times) >= 0 and ids.keys() >= {topic for topic, *_ in messages}
         began = self._file_began_ns is not None and not self._file_finished and not self._closed
-        if not sound or not began or self._is_full(max(times)) or self._is_full(min(times)):
+        if not sound or not began or self._is_full(max(times)):
             for message in messages:
                 self.write(*message)
             return
@@ -145,8 +150,7 @@ class BagWriter:
         if self._file_began_ns is None:
             return False
         too_large = 0 < self._max_size <= self._output.size
-        # Also of a clock that was set back: else the file would last until that time comes again.
-        return too_large or 0 < self._max_duration_ns <= abs(log_time_ns - self._file_began_ns)
+        return too_large or 0 < self._max_duration_ns <= log_time_ns - self._file_began_ns
 
     def split(self) -> None:
         """Finish the file, and continue in a new one; a file without messages is kept."""

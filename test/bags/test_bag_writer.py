@@ -321,18 +321,29 @@ def test_a_bag_is_split_by_duration_listed_as_rosbag2_does_and_read_whole_by_oth
 
 def test_a_bag_is_one_file_if_nothing_else_is_asked_for_and_counts_a_topic_of_one_file_in_the_whole(tmp_path):
     data, day = messages(1)[0].data, 86_400_000_000_000
-    split, days = {"max_duration": 1.0}, range(3)
-    # In the last the clock is set back.
-    for name, limit, times, files in (("one", {}, days, 1), ("three", split, days, 3), ("back", split, days[::-1], 3)):
+    for name, limit, files in (("one", {}, 1), ("three", {"max_duration": 1.0}, 3)):
         with BagWriter(tmp_path / name, **limit) as bag:
             for topic in ("/always", "/late"):
                 bag.add(Topic(topic, ENCODER.layout.type_name, TopicQos("best_effort")))
-            write(bag, [("/always", data, day * number, day * number) for number in times])
-            bag.write("/late", data, times[-1] * day, times[-1] * day)
+            write(bag, [("/always", data, day * number, day * number) for number in range(3)])
+            bag.write("/late", data, 2 * day, 2 * day)
         found = information(tmp_path / name)
         counts = {each["topic_metadata"]["name"]: each["message_count"] for each in found["topics_with_message_count"]}
         assert len(found["files"]) == len(found_files(tmp_path / name)[0]) == files
         assert counts == {"/always": 3, "/late": 1}
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_a_step_of_the_clock_either_way_begins_one_file_though_the_topics_of_a_batch_alternate(tmp_path, step):
+    data, day, topics = messages(1)[0].data, 86_400_000_000_000, [f"/{letter}" for letter in "abcde"]
+    with BagWriter(tmp_path / "bag", max_duration=60.0) as bag:
+        for topic in topics:
+            bag.add(Topic(topic, ENCODER.layout.type_name, TopicQos("best_effort")))
+        for batch in ([0, 0], [0, step], [step, step]):
+            times = [(5 + days) * day for days in batch]
+            bag.write_all([(topic, data, time, time) for topic in topics for time in times])
+    found = information(tmp_path / "bag")
+    assert len(found["files"]) == 2 and found["message_count"] == 30
 
 
 def test_a_bag_is_split_by_size(tmp_path):
