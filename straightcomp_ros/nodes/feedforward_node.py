@@ -10,7 +10,6 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.contract import ENCODER, REFERENCE
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import FeedforwardNodeParameters
-from straightcomp_ros.runtime.guarded_node import Refused
 from straightcomp_ros.runtime.loops import MessageLoop, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
@@ -56,7 +55,7 @@ class FeedforwardComponent:
         self.loop = MessageLoop(_BATCH_NS, self._queue.wait, self._cycle)
         node.streams.follow(self._cycle)
         node.offer(Trigger, "~/reload_map", self._on_reload_map, ParameterError, SurveyError, OSError)
-        node.offer(SetBool, "~/center", self._on_center)
+        node.offer(SetBool, "~/center", self._on_center, ParameterError)
         node.create_timer(_LOOK_AT_MAP_S, self._look_at_map)
         Diagnostics(node, self._counters, self.loop.report, description=parameters.stage.identity)
 
@@ -73,8 +72,7 @@ class FeedforwardComponent:
 
     def prepare(self, parameters: FeedforwardNodeParameters) -> Callable[[], None]:
         """Load another map; the reference fades over to it."""
-        if self._feedforward.changing:
-            raise ParameterError(f"the previous change of reference takes {FADE_TIME:g} s; try again after it")
+        self._refuse_while_changing()
 
         def load() -> tuple[StraightnessMap, float]:
             straightness = load_map(parameters.stage.guide)
@@ -82,6 +80,8 @@ class FeedforwardComponent:
 
         # In the worker thread, where samples are answered meanwhile: it takes longer than the controller waits.
         straightness, bandwidth = awaited(load, self._node.go_on)
+        # With the first sample meanwhile, a change from before it has begun.
+        self._refuse_while_changing()
 
         def take_over() -> None:
             self._parameters, self._map = parameters, straightness
@@ -91,6 +91,10 @@ class FeedforwardComponent:
                 self._feedforward.change(follower(straightness))
 
         return take_over
+
+    def _refuse_while_changing(self) -> None:
+        if self._feedforward.changing:
+            raise ParameterError(f"the previous change of reference takes {FADE_TIME:g} s; try again after it")
 
     def _report_map(self) -> None:
         self._node.get_logger().info(f"map {self._parameters.stage.guide.file}: {self._map}")
@@ -104,8 +108,7 @@ class FeedforwardComponent:
 
     def _on_center(self, middle: bool) -> str:
         """Fade the reference to the middle of the platform's travel, or back to the map."""
-        if self._feedforward.changing:
-            raise Refused("the previous change of reference has not finished")
+        self._refuse_while_changing()
         if middle != self._centred:
             self._centred = middle
             self._feedforward.change(_middle if middle else follower(self._map))

@@ -25,7 +25,8 @@ from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.learning import Learning, LearningParameters
 from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
-from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
+from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
+from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, FeedforwardNodeParameters
 from straightcomp_ros.runtime.loops import WorkerThread, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
 from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
@@ -219,6 +220,17 @@ def test_timers_and_so_heartbeats_go_on_while_a_callback_waits_for_what_takes_lo
     awaited(partial(time.sleep, 0.5), node.go_on)
     node.destroy_node()
     assert len(calls) > 5
+
+
+def test_a_change_of_map_does_not_cut_one_short_that_begins_while_the_map_is_read(monkeypatch):
+    node, parameters = Mock(), from_mapping(FeedforwardNodeParameters, {})
+    monkeypatch.setattr(feedforward_node, "Diagnostics", Mock())
+    component = feedforward_node.FeedforwardComponent(node, parameters)
+    component._feedforward.step(0, 0.1)
+    component._on_center(True)
+    monkeypatch.setattr(feedforward_node, "awaited", lambda load, _: component._feedforward.step(1, 0.1) and load())
+    with pytest.raises(ParameterError, match="previous change"):
+        component.prepare(parameters)
 
 
 def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(single):
