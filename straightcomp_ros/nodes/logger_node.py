@@ -57,7 +57,11 @@ _IDLE = ("chrt", "--idle", "0")
 class FaultIncidents:
     """Watches `safety_state`; keeps the newest ``number`` incidents beside the bag that ``recording`` returned at the
     fault, None while there is none. ``save`` completes that bag first, if it is still recorded, in as many turns of the
-    timer as it yields. One at a time: a fault while an incident is packed, or waits for it, is in that one."""
+    timer as it yields. One at a time: a fault while an incident is packed, or waits for it, is in that one.
+
+    Attributes:
+        due: the incident that waits: when to pack it, the fault's name, and the bag.
+    """
 
     def __init__(
         self,
@@ -67,7 +71,7 @@ class FaultIncidents:
         save: Callable[[], Iterable[None]] = tuple,
     ) -> None:
         self._node, self._number, self._recording, self._save = node, number, recording, save
-        self._due: tuple[float, str, Path] | None = None
+        self.due: tuple[float, str, Path] | None = None
         self._seen = ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(0.5, partial(next, self._work()))
@@ -75,17 +79,17 @@ class FaultIncidents:
     def _on_safety_state(self, status: DiagnosticStatus) -> None:
         fault = f"{status.name} {[one.value for one in status.values]}" if status.name else ""
         bag = self._recording()
-        if bag and fault and fault != self._seen and self._due is None:
-            self._due = time.monotonic() + _AFTER_S, status.name, bag
+        if bag and fault and fault != self._seen and self.due is None:
+            self.due = time.monotonic() + _AFTER_S, status.name, bag
         self._seen = fault
 
     def _work(self) -> Iterator[None]:
         """Pack incidents, one at a time; each ``yield`` waits for the timer."""
         while True:
             yield
-            if self._due is None or time.monotonic() < self._due[0]:
+            if self.due is None or time.monotonic() < self.due[0]:
                 continue
-            (_, fault, bag), self._due = self._due, None
+            (_, fault, bag), self.due = self.due, None
             if bag == self._recording():  # else that bag is finished
                 yield from self._save()
             folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
@@ -155,9 +159,12 @@ class LoggerComponent:
         Diagnostics(node, self._counters)
         node.create_timer(_FETCH_INTERVAL_NS * 1e-9, self._fetch)
         node.create_timer(0.2, self._watch)
+        self._incidents: FaultIncidents | None = None
         if parameters.incidents:
             save = self._save_snapshot if parameters.snapshot else tuple
-            FaultIncidents(node, parameters.incidents, lambda: recorder.folder if recorder.recording else None, save)
+            self._incidents = FaultIncidents(
+                node, parameters.incidents, lambda: recorder.folder if recorder.recording else None, save
+            )
         if parameters.record_at_start:
             self._start()
 
@@ -199,6 +206,8 @@ class LoggerComponent:
 
         def stop() -> str:
             """Finish the bag."""
+            if self._incidents and self._incidents.due:
+                recorder.intake.snapshot()  # what is in memory only would be lost to the incident
             recorder.stop()
             return f"{recorder.written} messages are in {recorder.folder}"
 

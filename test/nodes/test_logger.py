@@ -56,14 +56,19 @@ def test_a_snapshot_saves_the_last_second_and_the_bag_says_what_it_is(single, pa
     assert "logger" in read_attachments(bag)["parameters.yaml"].decode()
 
 
-def test_an_incident_has_the_seconds_that_the_logger_keeps_in_memory(single, participant, tmp_path):
+@pytest.mark.parametrize("stopped", [False, True])
+def test_an_incident_has_the_seconds_that_the_logger_keeps_in_memory(single, participant, tmp_path, stopped):
     bag, incidents = tmp_path / "bag", tmp_path / "bag_incidents"
     encoder = participant.node.create_publisher(JointState, ENCODER.topic, 10)
     state = participant.node.create_publisher(DiagnosticStatus, SAFETY_STATE, LATCHED)
     chosen = {"output": str(bag), "snapshot": 10.0, "incidents": 1, "topics": "encoder", "nodes": "logger"}
     single.start("logger", chosen)
-    participant.until(encoder.get_subscription_count)
+    participant.until(lambda: encoder.get_subscription_count() and state.get_subscription_count())
     state.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="tripped"))
+    if stopped:
+        end = time.monotonic() + 1.0
+        participant.until(lambda: encoder.publish(sample()) or time.monotonic() > end)
+        assert participant.trigger("logger/stop").success
     participant.until(lambda: encoder.publish(sample()) or list(incidents.glob("*.zip")))
     assert single.stop(["logger"])["logger"] == 0
     with zipfile.ZipFile(next(incidents.iterdir())) as archive:
