@@ -355,15 +355,17 @@ class CellSequence:
         yield
 
     def _resetting(self) -> Iterator[None]:
-        ready_since, waits_since, waits_for, homes = self.now, self.now, "", False
+        ready_since, waits_since, waits_for, homes, asked = self.now, self.now, "", False, False
         while True:
             obstacle = self.seen.obstacle or self.machine.obstacle
             if not obstacle and self.seen.unreferenced:
                 obstacle = f"x is not referenced: {self.seen.unreferenced}"
                 if self.seen.stamp_ns and self._due():  # without a sample there may be no machine
-                    # One that is held would not home either.
-                    held = self.seen.stage.condition == "held"
-                    self.machine.request("driver/end_motion" if held else "driver/home")
+                    if not asked:
+                        # A hold that was left would hold the homing too. Once: a later hold is meant.
+                        self.machine.request("driver/end_motion")
+                    self.machine.request("driver/home")
+                    asked = True
             if self.seen.occupied:
                 raise WorkFailed(self.seen.occupied)
             if self.seen.contradiction and self._overdue(_REPORTED_WITHIN_S):
@@ -429,15 +431,15 @@ class CellSequence:
             yield
 
     def _unholding(self) -> Iterator[None]:
-        yield from self._asking(
-            lambda: self.machine.request("driver/hold", False),
-            # With an override of 0 % it stands as if it were held.
-            lambda: (
-                (not self.seen.stage.override or self.seen.stage.condition not in ("stopping", "held"))
-                and self._overdue(_RECEIVED_S)
-            ),
-            lambda: "the stage remains held",
-        )
+        answers = ["no answer"]
+
+        def released() -> bool:
+            # With an override of 0 % it stands as if it were held: only the driver's answer shows the difference.
+            stands = answers[-1] if not self.seen.stage.override else self.seen.stage.condition in ("stopping", "held")
+            return not stands and self._overdue(_RECEIVED_S)
+
+        ask = partial(self.machine.request, "driver/hold", False, answers.append)
+        yield from self._asking(ask, released, lambda: "the stage remains held")
 
     def _completing(self) -> Iterator[None]:
         moved = self.now
@@ -467,7 +469,7 @@ class CellSequence:
         yield from self._switching_off()
 
     def _aborting(self) -> Iterator[None]:
-        # The stage keeps its trajectory and comes to rest at the end of its movement.
+        # Unless it was stopping, the stage keeps its trajectory and comes to rest at the end of its movement.
         self.movements.forget()
         for _ in self._switching_off():
             if self._overdue(_OFF_WITHIN_S):
