@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from straightcomp_ros.analysis.judged_motion import JudgedMotion
+from straightcomp_ros.analysis.judged_motion import JudgedMotion, encoder_count
 from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual
@@ -135,7 +135,9 @@ def locked_to_x(motion: JudgedMotion) -> Line | None:
         time, x, error = motion.time[samples], motion.x[samples], motion.error[samples]
         # Of a coarse encoder most samples stand.
         speed = max(float(np.quantile(np.abs(np.gradient(x, time)), 0.9)), float(np.ptp(x) / np.ptp(time)))
-        over_x, over_time = _of_few_waves(x, error, _FASTEST / speed), _of_few_waves(time, error, _FASTEST)
+        # Bins finer than a count of x would repeat the slow part of the error as a wave of one count.
+        near = min(_FASTEST / speed, 1.0 / (_BINS * encoder_count(x)))
+        over_x, over_time = _of_few_waves(x, error, near), _of_few_waves(time, error, _FASTEST)
         # At constant speed both are the same line: the ramps make the difference, which noise must not make.
         noise = _background(*_spectrum(x, error, over_x.at), float(np.ptp(x)), over_x.at)
         if over_x.amplitude < max(_A_WAVE * motion.rms, over_time.amplitude + noise):
