@@ -318,8 +318,9 @@ def _numbers(where: str, cells: Sequence[str]) -> list[float]:
 Reference = Sequence[float]
 Job = Callable[[], None]
 
-_REST = 0.05
-"""Of ``fade_speed``: below it the stage counts as standing, and a pass ends."""
+_REST, _LEAST_REST = 0.05, 1e-4
+"""Of ``fade_speed``, and at least so many m/s, which an encoder that toggles at rest does not show: below it the stage
+counts as standing, and a pass ends."""
 _STAGE_BANDWIDTH = 30.0
 """Hz, of the estimate of ẋ and ẍ."""
 _SETTLED = 100
@@ -351,7 +352,8 @@ class LearningParameters:
     spacing: float = parameter(0.25e-3, "Distance of the nodes along x", "[1e-5, 0.01] m")
     fade_speed: float = parameter(
         0.02,
-        "Speed of the stage below which the correction fades; slower than a twentieth of it nothing is learned",
+        "Speed of the stage below which the correction fades; slower than a twentieth of it, or than 0.1 mm/s, nothing "
+        "is learned",
         "(0, 1] m/s",
     )
     margin: float = parameter(
@@ -390,7 +392,7 @@ class Learning:
             read_tables(Path(parameters.file), law, self.tables)
             for table in self.tables.values():
                 table.bound(parameters.limit)
-        self._rest = _REST * parameters.fade_speed
+        self._rest = max(_REST * parameters.fade_speed, _LEAST_REST)
         self._tracked, self._stamp_ns = restarted(0.0), 0
         self._forward = True
         self.cut = False

@@ -375,6 +375,20 @@ def test_fast_and_slow_stages_are_learned_from(motion, rate, fade_speed):
     assert {forward: table.updates for forward, table in learner.tables.items()} == {True: 1, False: 1}
 
 
+def test_an_encoder_that_toggles_at_rest_corrects_no_reference_however_slow_the_stage_may_be():
+    motion = MotionParameters(stroke=0.05, speed=0.1, settle=0.5)
+    learner = Learning(LearningParameters(learn=True, fade_speed=1e-9), "smc", RATE)
+    trajectory = Trajectory(forward_and_back(motion))
+    positions = [trajectory.position(at_ns) for at_ns in range(0, trajectory.end_ns, PERIOD_NS)]
+    toggles = np.random.default_rng(0).integers(0, 2, 4000) * 1e-7
+    asked = [
+        learner.step(index * PERIOD_NS, x, 0.0, (1e-7, 0.0, 0.0))
+        for index, x in enumerate([*positions, *toggles.tolist()])
+    ]
+    assert learner.tables[True].updates == learner.tables[False].updates == 1
+    assert set(asked[len(positions) + 200 :]) == {(1e-7, 0.0, 0.0)}
+
+
 def test_nothing_is_learned_from_a_pass_with_a_test_signal_in_it():
     learner, trajectory = learning(), Trajectory(forward_and_back(STROKE))
     servo = Servo(make_law(ControlParameters(law="linear"), STAGE), learning=learner)
