@@ -120,16 +120,18 @@ class StraightnessMap:
         self.offset = float(extremes.max() + extremes.min()) / 2.0
         self._mean = _Curve(spline, self.offset, parameters.runout)
         self.reference = self._mean.at
-        self.largest = max(float(np.ptp(extremes)) / 2.0, self._mean.largest_beyond)
+        within = float(np.ptp(extremes)) / 2.0
+        self.largest = max(within, self._mean.largest_beyond)
         self._half: _Curve | None = None
         if half is not None:
             self._half, self.noise = _Curve(half[0], 0.0, parameters.runout), half[1]
-            self.largest += max(float(np.abs(half[0](x)).max()), self._half.largest_beyond)
+            within += (apart := float(np.abs(half[0](x)).max()))
+            self.largest += max(apart, self._half.largest_beyond)
         self.directed = self._half is not None
         if self.largest > parameters.travel:
             # A run-out as long as a short guide goes far beyond it.
-            inside = float(np.abs(self.evaluate(x)[0]).max()) > parameters.travel
-            where = "" if inside else f" where it runs out over {parameters.runout * 1e3:.4g} mm (runout)"
+            beyond = f" where it runs out over {parameters.runout * 1e3:.4g} mm (runout)"
+            where = beyond if within <= parameters.travel else ""
             raise SurveyError(
                 f"survey {survey.source}: the correction reaches {self.largest * 1e6:.4g} µm to each side{where}; "
                 f"allowed: <= {parameters.travel * 1e6:.4g} µm (travel)"

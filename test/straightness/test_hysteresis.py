@@ -18,6 +18,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import Feedforward, Travel, along, follower, handover
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.survey import Survey, write_survey
+from straightcomp_ros.straightness.survey_table import SurveyError
 from trials.noise import FINE, WAYS, Kind, guide, mapped, surveyed
 
 HYSTERESIS = 0.3e-6
@@ -56,6 +57,14 @@ def test_only_what_was_repeated_both_ways_shows_hysteresis():
         assert not mapped(survey).directed
         both = StraightnessMap(survey, MapParameters(travel=5e-3, direction="both"))
         assert both.directed == (runs[0].direction != runs[1].direction)
+
+
+def test_two_tables_that_leave_the_travel_inside_the_survey_are_not_refused_for_the_run_out():
+    survey = surveyed(10e-3, 25e-9, Kind(hysteresis=3e-6))
+    straightness = mapped(survey)
+    mean, forward = (np.abs(straightness.evaluate(FINE, way)[0]).max() for way in (None, "forward"))
+    with pytest.raises(SurveyError, match="to each side; allowed"):
+        StraightnessMap(survey, MapParameters(travel=float(mean + forward) / 2.0))
 
 
 def test_the_hand_over_leaves_no_step_in_the_reference_its_rate_and_its_acceleration():
