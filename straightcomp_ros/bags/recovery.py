@@ -183,7 +183,8 @@ class _Copy:
             attachment, _ = measured(Attachment, content)
             if attachment.name != "metadata.yaml":
                 data = self._edit(attachment.name, attachment.data)
-                self._writer.attach(attachment.name, attachment.media_type, data, attachment.create_time)
+                made_ns = attachment.create_time or attachment.log_time
+                self._writer.attach(attachment.name, attachment.media_type, data, made_ns)
         elif opcode == Opcode.METADATA:
             metadata, _ = measured(Metadata, content)
             if metadata.name != "rosbag2":

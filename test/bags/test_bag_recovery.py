@@ -11,6 +11,7 @@ import pytest
 from bag_of_rows import bag_of
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from places import SMC
 from recording import MAGIC, START_NS, add_streams, described, mcap_of, recorded, records
 from rosbags.rosbag2 import Reader
@@ -39,6 +40,16 @@ def attached(folder):
     (path,) = folder.glob("*.mcap")
     with path.open("rb") as file:
         yield from make_reader(file).iter_attachments()
+
+
+def test_an_attachment_without_a_time_of_creation_is_as_old_as_its_record(tmp_path):
+    with (tmp_path / "one.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        writer.add_attachment(0, START_NS, "notes.txt", "text/plain", b"")
+        writer.finish()
+    recover(tmp_path / "one.mcap", tmp_path / "new")
+    assert [(one.create_time, one.log_time) for one in attached(tmp_path / "new")] == [(START_NS, START_NS)]
 
 
 def test_a_sound_bag_comes_back_whole_with_attachments_and_metadata_and_is_not_changed(tmp_path):

@@ -6,6 +6,7 @@ from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from places import SMC
 from recorded_run import recorded_run
 from rewritten_bag import rewritten
@@ -224,6 +225,15 @@ def test_strokes_in_simulated_time_have_the_date_at_which_their_bag_was_made(eva
     dated = rows_of(evaluation, recorded_facts(SMC, "key", evaluation)[1], zero)
     assert [one.start - zero for one in dated] == [one.start for one in rows]
     assert dated[0].start.year == 2026 and date_of_zero(SMC, 1_700_000_000_000_000_000) == timedelta(0)
+
+
+def test_an_attachment_without_a_time_of_creation_dates_a_simulated_run_by_its_record(tmp_path):
+    with (tmp_path / "one.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        writer.add_attachment(0, 2_000_000_000, "notes.txt", "text/plain", b"")
+        writer.finish()
+    assert date_of_zero(tmp_path / "one.mcap", 500_000_000) == timedelta(seconds=1.5)
 
 
 def test_a_clock_that_was_set_between_two_strokes_gives_each_its_own_date(tmp_path, rows):

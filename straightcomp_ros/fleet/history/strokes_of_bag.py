@@ -71,7 +71,9 @@ def date_of_zero(bag: Path, begin_ns: int) -> timedelta:
     if begin_ns >= _SIMULATED_NS or files[0].suffix != ".mcap":
         return timedelta(0)
     with McapInput(files[0]) as opened:
-        made = [opened.attachment(record).create_time for record in opened.records(Opcode.ATTACHMENT)]
+        attached = map(opened.attachment, opened.records(Opcode.ATTACHMENT))
+        # A time of creation that is not known is 0.
+        made = [one.create_time or one.log_time for one in attached]
     return timedelta(microseconds=(min(made) - begin_ns) // 1000 if made else 0)
 
 
