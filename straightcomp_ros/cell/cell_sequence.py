@@ -39,7 +39,7 @@ _REPORTED_WITHIN_S = 1.5
 """Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 _ARRIVE_WITHIN_S = 5.0
 _ARRIVED_M = 10e-6
-"""From the goal, or from a reading of x, which is half a count off."""
+"""From the goal, besides the half count by which a reading of x is off."""
 _POINTS_TO_START = 8
 """Most points of the way to the start of a trajectory: of a move with a limit of the jerk."""
 _FARTHEST_JOG_UM = 20_000_000

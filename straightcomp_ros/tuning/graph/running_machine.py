@@ -58,7 +58,7 @@ _LATE_S = 5.0
 _REPORTED_S = 5.0
 """s after a request in which a report may still be of before it: nodes report once a second."""
 _ARRIVED = 1e-5
-"""m from the start, or from a reading of x, which is half a count off."""
+"""m from the start, besides the half count by which a reading of x is off."""
 _SEEN_NS = 500_000_000
 """A stage that is away for longer is seen there: the client's observation is 50 ms old, or more on a slow host."""
 
