@@ -2,6 +2,7 @@
 
 import argparse
 import ast
+import contextlib
 import functools
 import importlib
 import importlib.util
@@ -90,10 +91,7 @@ def main(
         if not found:
             raise CommandFailed("no verb is installed; remedy: pip install straightcomp_ros, in a checkout make setup")
         parser = make_parser(given[:2] if named else [], found, program)
-        if not given:
-            parser.print_help()
-            return 0
-        options = parser.parse_args(given)
+        options = parser.parse_args(given or ["--help"])
         words += filter(None, (options.verb, getattr(options, "tool", None)))
         code = int(options.run(options) or 0)
         sys.stdout.flush()
@@ -105,9 +103,7 @@ def main(
         kept = getattr(stop, "kept", None)
         return _ended(words, f"{word}; what it had made is in {kept} until the next run" if kept else word, code)
     except BrokenPipeError:
-        # The reader of our output has gone (`… | head`): end without a word, also when Python flushes at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _CLOSED_PIPE
+        return _CLOSED_PIPE  # the reader of our output has gone (`… | head`): end without a word
     except OSError as error:
         # A file or folder that changed during the work, or a full disk: no verb foresees all of these.
         name = f"{error.filename}: " if error.filename else ""
@@ -120,10 +116,18 @@ def main(
         if not type(error).__module__.startswith(f"{PACKAGE}."):
             raise
         return _ended(words, str(error), 2 if _WRONG_USE & {kind.__name__ for kind in type(error).__mro__} else 1)
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            try:
+                stream.flush()
+            except OSError:
+                # Python flushes it once more at its end, would complain, and end with exit code 120.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _ended(words: Sequence[str], sentence: str, exit_code: int) -> int:
-    print(printable(f"{' '.join(words)}: {sentence}"), file=sys.stderr)
+    with contextlib.suppress(OSError):  # the exit code says it where standard error is closed, or its disk is full
+        print(printable(f"{' '.join(words)}: {sentence}"), file=sys.stderr)
     return exit_code
 
 
@@ -219,6 +223,11 @@ class _Parser(argparse.ArgumentParser):
         if "" in arg_strings and action.default != "" and action.nargs != argparse.PARSER:
             self.error(str(argparse.ArgumentError(action, "is empty")))
         return super()._get_values(action, arg_strings)
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        """Print the help at once: `main` returns another exit code where the output is closed."""
+        sys.stdout.flush()
+        super().exit(status, message)
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; the usage is in the help."""

@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from functools import partial
 from importlib.metadata import distribution
 from unittest.mock import Mock
 from xml.etree import ElementTree
@@ -215,16 +216,33 @@ def test_the_version_is_the_manifests(verb):
     assert verb("--version") == (0, f"straightcomp {version}\n", "")
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 @pytest.mark.parametrize(
-    "words", ["completion bash", "--version", f"map build {REPOSITORY}/config/survey_synthetic.csv"]
+    "words",
+    [
+        "completion bash",
+        "--version",
+        "--help",
+        "",
+        f"map build {REPOSITORY}/config/survey_synthetic.csv",
+        "map build no",
+    ],
 )
-def test_a_reader_that_goes_away_ends_a_command_without_a_word(words):
+def test_an_output_that_is_closed_or_full_ends_a_command_with_its_exit_code(words, unbuffered):
+    """Whether Python keeps what is printed until its end, or not."""
+    command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words.split()]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    run = partial(subprocess.run, command, env=environment, text=True, timeout=600, check=False)
+    wrong = words == "map build no"
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words.split()]
-    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, timeout=600, check=False)
-    os.close(write)
-    assert (done.stderr, done.returncode) == ("", 141)
+    with os.fdopen(write, "w") as closed, open("/dev/full", "w") as full:
+        done = run(stdout=closed, stderr=subprocess.PIPE)
+        assert wrong or (done.stderr, done.returncode) == ("", 141)
+        done = run(stdout=full, stderr=subprocess.PIPE)
+        assert done.stderr.count("\n") == 1 and done.returncode == (2 if wrong else 1)
+        for stream in (closed, full):
+            assert not wrong or run(stdout=subprocess.DEVNULL, stderr=stream).returncode == 2
 
 
 def test_a_command_whose_standard_streams_are_closed_does_its_work(tmp_path):
