@@ -12,9 +12,9 @@ import secrets
 from dataclasses import dataclass
 from pathlib import Path
 
-from straightcomp_ros.parameters.declaration import RefusedParameter, parameter
+from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
 from straightcomp_ros.parameters.output_files import locked, write_whole
-from straightcomp_ros.parameters.yaml_text import bounded_bytes
+from straightcomp_ros.parameters.yaml_text import bounded_lines
 
 _log = logging.getLogger(__name__)
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
@@ -159,13 +159,11 @@ def add_user(path: Path, name: str, password: str, role: str | None = None) -> s
 def _users(path: Path) -> dict[str, tuple[str, bytes, bytes]]:
     """Role, salt and hash by name."""
     try:
-        text = bounded_bytes(path).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise AdmissionError(
-            f"users file {path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from error
+        lines = bounded_lines(path, f"users file {path}")
+    except ParameterError as error:
+        raise AdmissionError(str(error)) from error
     entries = {}
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(lines, 1):
         if not line.strip() or line.startswith("#"):
             continue
         try:

@@ -63,6 +63,7 @@ def test_the_verb_writes_the_file(tmp_path, monkeypatch, verb):
     assert user("a new password", "bob") == 0 and Users(users).role("bob", "a new password") == "viewer"
     # An editor has put a byte order mark in front.
     users.write_bytes(b"\xef\xbb\xbf" + users.read_bytes())
+    assert Users(users).role("ann", "long enough") == "operator"
     assert user("another one", "ann") == 0 and users.read_text().count("ann:") == 1
     assert user("x", "ann") == user("M\udcfcller12345", "ann") == 2
 
