@@ -76,7 +76,8 @@ def _open(options: argparse.Namespace) -> None:
     try:
         details = unpack(file, folder)
     except BaseException as error:
-        clear(folder, made=made)
+        if not isinstance(error, FileExistsError):  # of another process, which unpacks there
+            clear(folder, made=made)
         if isinstance(error, IncidentError):
             raise CommandFailed(str(error), exit_code=2) from error
         raise

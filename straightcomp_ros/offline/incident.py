@@ -405,6 +405,7 @@ def unpack(file: Path, folder: Path) -> dict[str, Any]:
 
     Raises:
         IncidentError: the file is no incident, or was changed; nothing of a refused file is used.
+        FileExistsError: the folder is not empty, as another process unpacks there.
     """
     try:
         with zipfile.ZipFile(file) as archive:
@@ -424,7 +425,7 @@ def unpack(file: Path, folder: Path) -> dict[str, Any]:
         digests = dict(details["sha256"])
         [Finding(**one) for one in json.loads((folder / DOCTOR).read_text(encoding="utf-8"))]
         list(details.get("left_out", ()))
-    except IncidentError:
+    except (IncidentError, FileExistsError):
         raise
     except Exception as error:  # of the archive, of what is compressed in it, of its files
         raise IncidentError(f"{file}: is no incident, or is damaged: {type(error).__name__}: {error}") from error

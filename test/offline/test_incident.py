@@ -251,6 +251,15 @@ def test_an_archive_that_is_no_incident_is_refused_and_nothing_of_it_is_left(
     assert verb("incident", "open", file, "-o", inside).code == 2 and inside.exists() and not any(inside.iterdir())
 
 
+def test_of_two_that_open_an_incident_into_one_folder_the_second_leaves_the_file_of_the_first(
+    packed, tmp_path, monkeypatch, verb
+):
+    first = tmp_path / "a" / incident.SUMMARY
+    monkeypatch.setattr(incident, "_check", lambda *_: first.write_text("of the first"))
+    assert "INCIDENT.txt: File exists" in verb("incident", "open", packed.file, "-o", tmp_path / "a").err
+    assert first.read_text() == "of the first"
+
+
 @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.999])
 def test_a_file_that_is_cut_or_no_archive_is_refused_in_a_sentence(packed, tmp_path, keep):
     data = packed.file.read_bytes()
