@@ -5,6 +5,7 @@ of a length may be of a later version of MCAP, if another record follows. Behind
 sound chunk, wherever it starts.
 """
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -111,7 +112,7 @@ def recover(
             result.lose(path.name, path.stat().st_size if path.exists() else 0, str(error))
     if not readable:
         raise refused[0]
-    made, writer = not output.exists(), BagWriter(output)
+    made, writer = not os.path.exists(output), BagWriter(output)
     try:
         with writer:
             for path in readable:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ class SimulatedRun:
     """
 
     def __init__(self, directory: Path, parameters: Mapping[str, Mapping[str, Any]], delay: float) -> None:
-        self._made = not Path(directory).exists()
+        self._made = not os.path.exists(directory)
         self._bag = BagWriter(directory)
         self._delay, self._applied = delay, 0.0
         self._last_ns: int | None = None
@@ -67,6 +68,9 @@ class SimulatedRun:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
             self._bag.close()
+        except KeyboardInterrupt as stop:
+            kind = type(stop)
+            raise
         finally:
             if kind is not None and not issubclass(kind, Exception):
                 # Half of a run in simulated time would be taken for a whole one.

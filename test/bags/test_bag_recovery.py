@@ -20,6 +20,7 @@ from tiers import nightly
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_metadata
 from straightcomp_ros.bags.recovery import RECOVERY_METADATA, recover
+from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli import Terminated
 from straightcomp_ros.contract import ENCODER
@@ -172,6 +173,13 @@ def test_whatever_ends_the_copying_leaves_no_half_copy_and_the_original(tmp_path
         recover(bag.directory, tmp_path / "new", edit=edit)
     assert {path.name for path in tmp_path.iterdir()} == before and bag.file.exists()
     assert not there or not any((tmp_path / "new").iterdir())
+
+
+def test_a_folder_that_cannot_be_is_refused_as_a_bag_that_cannot_be_made(tmp_path):
+    with pytest.raises(BagError, match="cannot be made: File name too long"):
+        recover(recorded(tmp_path / "run").directory, tmp_path / ("x" * 300))
+    with pytest.raises(BagError, match="cannot be made: File name too long"):
+        SimulatedRun(tmp_path / ("x" * 300), {}, 1.0)
 
 
 def test_an_open_chunk_is_written_when_it_is_old_enough(tmp_path):

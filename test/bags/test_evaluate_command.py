@@ -75,8 +75,12 @@ def test_a_folder_that_was_there_stays_without_a_bag_whatever_happens_when_a_sim
     assert (tmp_path / "link").is_symlink() and not list((tmp_path / "mine").iterdir())
 
 
-@pytest.mark.parametrize("name", ["bags.simulated_run.attach_parameters", "cli.simulate.working"])
-def test_of_a_simulation_that_is_stopped_before_its_first_sample_no_bag_is_left(tmp_path, verb, monkeypatch, name):
+@pytest.mark.parametrize(
+    "name", ["bags.simulated_run.attach_parameters", "cli.simulate.working", "bags.writer.write_whole"]
+)
+def test_of_a_simulation_that_is_stopped_before_its_first_sample_or_behind_its_last_no_bag_is_left(
+    tmp_path, verb, monkeypatch, name
+):
     monkeypatch.setattr(f"straightcomp_ros.{name}", Mock(side_effect=KeyboardInterrupt))
     assert verb("simulate", "--bag", tmp_path / "run", *OPTIONS).code == 130 and not (tmp_path / "run").exists()
 
