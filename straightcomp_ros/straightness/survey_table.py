@@ -223,7 +223,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     if runs:
         _check_columns_of_runs(header_line, header, runs, rows)
         if x not in own.values():
-            _check_other_x(header_line, header, header.index(x), rows)
+            _check_other_x(header_line, header, header.index(x), runs, rows)
         header, rows = _a_row_for_each(runs, header, rows)
     numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
@@ -402,13 +402,17 @@ def _check_columns_of_runs(
             )
 
 
-def _check_other_x(where: str, header: Sequence[str], x: int, rows: Sequence[tuple[str, int, list[str]]]) -> None:
-    """Raise SurveyError for a column beside those of runs that is as long as that of ``x`` and has other positions: a
-    run measured at them would be read at ``x``, turned round if it was listed as it was driven."""
+def _check_other_x(
+    where: str, header: Sequence[str], x: int, runs: Iterable[int], rows: Sequence[tuple[str, int, list[str]]]
+) -> None:
+    """Raise SurveyError for a column that is as long as that of ``x``, has other positions, and is of some of the
+    ``runs``: these would be read at ``x``, turned round if they were listed as they were driven."""
     for at, name in enumerate(header):
         # Programs number the second of two equal names: x_mm.1.
         _, unit = _name_and_unit(re.sub(r"\.\d+$", "", name))
-        if at == x or not unit or not _OF_X.search(name):
+        # One x for all runs, as of the machine, stands with the first x, or all runs stand between the two.
+        between = {min(x, at) < run < max(x, at) for run in runs}
+        if not (unit and _OF_X.search(name) and (len(between) > 1 or DIRECTIONS.keys() & re.findall("[a-z]+", name))):
             continue
         both = ([number_or_nan(row[one].replace(",", ".")) for one in (x, at)] for *_, row in rows)
         pairs = [pair for pair in both if all(map(math.isfinite, pair))] or [[0.0, 0.0]]
@@ -455,12 +459,12 @@ def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[in
     cells = [(where, row, column, row[column].strip()) for where, _, row in rows for column in columns]
     texts = [cell for *_, cell in cells]
     marks = {mark for mark in ".," if any(mark in cell for cell in texts)}
-    # A mark that a number has twice separates thousands.
     decimal = {max(".,", key=cell.rfind) for cell in texts if "." in cell and "," in cell}
-    decimal |= {".,"[mark == "."] for mark in marks if any(cell.count(mark) > 1 for cell in texts)}
     decimal = decimal or {
         mark for mark in marks if any(mark in cell and not _GROUPED.fullmatch(cell) for cell in texts)
     }
+    # A mark that a number has twice separates thousands.
+    decimal = decimal or {".,"[mark == "."] for mark in marks if any(cell.count(mark) > 1 for cell in texts)}
     if len(marks) == 2 and len(decimal) != 1:
         where = next(where for where, *_, cell in cells if "," in cell)
         raise SurveyError(

@@ -324,6 +324,11 @@ def test_runs_by_columns_have_one_x(read):
     }
     for name, of in others.items():
         assert len(read(*by_columns(name, of)).runs) == 2
+    # The machine's own x, or another axis, belongs to all runs; an x with a direction to its runs.
+    rows = [f"{x};{312.5 + x};{x % 30};{x % 40};{312.5 - x}" for x in range(0, 240, 10)]
+    assert len(read("x_mm;Machine position (mm);Forward (µm);Backward (µm);x 2 (mm)", *rows).runs) == 2
+    with pytest.raises(SurveyError):
+        read("x_mm;x bwd (mm);Forward (µm);Backward (µm);y_mm", *rows)
 
 
 def test_a_total_in_a_column_without_a_name_is_no_run(read):
@@ -433,6 +438,12 @@ def test_a_spreadsheet_has_the_value_that_it_shows_in_every_encoding_of_spreadsh
     (run,) = read(READ[kind], encoding=encoding).runs
     np.testing.assert_allclose(run.x, X * 1e-3, atol=1e-12)
     np.testing.assert_allclose(run.deviation, UM * 1e-6, atol=1e-12)
+
+
+def test_a_mark_that_is_typed_twice_changes_no_other_number(read):
+    rows = [f"{x}.5;{x % 30}.5" for x in range(0, 240, 10)]
+    with pytest.raises(SurveyError, match=r"line 9: .*'1\.2\.3'"):
+        read("x_mm;deviation_um", *rows[:7], "70.5;1.2.3", *rows[8:])
 
 
 @pytest.mark.parametrize("written", [lambda v: german(v, 0), lambda v: f"{v:,.0f}"])
