@@ -7,6 +7,7 @@ point of one run and the first of the next.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -15,15 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.map_building import FLOOR, GAUSSIAN, BuiltMap, Choices, build
-from straightcomp_ros.analysis.record import (
-    SHORTEST_STROKE,
-    MetricsError,
-    Stroke,
-    group_means,
-    motion_of,
-    runs_of,
-    whole_ways,
-)
+from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, Stroke, group_means, motion_of, whole_ways
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.guide_map import MapParameters
@@ -45,10 +38,7 @@ _STOP = 0.2
 _FEWEST_STOPS = 5
 """Stops from which a run is measured at rest."""
 _SLOW = 0.05
-"""Time in s between samples from which a move from stop to stop may have few samples."""
-_FEW_STEPS = 4
-"""Steps from sample to sample of a move, of which the first and the last may be too slow for a stroke, and the others
-too few."""
+"""Time in s between samples from which a move from stop to stop may have too few samples within to be found."""
 _HALF_WINDOW = 7
 """Readings to each side with which a reading is compared to find spikes."""
 
@@ -147,24 +137,6 @@ def series_of_csv(path: Path, names: Mapping[str, str] | None = None) -> Series 
     return Series(str(path), columns[0] - columns[0, 0], columns[1], columns[2], 0, inputs)
 
 
-def _with_samples_in_moves(series: Series) -> Series:
-    """A slow logger's series with two samples more within each step of a move between stands that has few.
-
-    Strokes are found by the samples within them; points at rest take none of these.
-    """
-    columns = np.stack([series.time, series.x, series.deviation])
-    steps = np.diff(columns)
-    if np.median(steps[0]) < _SLOW:
-        return series
-    moves = [move for move in runs_of(np.abs(steps[1]) >= SHORTEST_STROKE).tolist() if move[1] - move[0] <= _FEW_STEPS]
-    # A reading of x that was wrong once comes back, and on the fly few steps between stands are short.
-    moves = [move for move in moves if abs(columns[1, move[1]] - columns[1, move[0]]) >= 10.0 * SHORTEST_STROKE]
-    inside = np.array([at for move in moves for at in range(*move)], dtype=np.intp)
-    added = columns[:, inside, None] + steps[:, inside, None] * np.array([1.0, 2.0]) / 3.0
-    time, x, deviation = np.insert(columns, np.repeat(inside + 1, 2), added.reshape(3, -1), axis=1)
-    return replace(series, time=time, x=x, deviation=deviation)
-
-
 class Passage(NamedTuple):
     """One run as it was recognised: when it was driven in s, whether its points were measured at stops, and the numbers
     of its readings and of those that were rejected."""
@@ -185,24 +157,59 @@ def recognise(
 
     On the fly, each ``step`` in m of x makes one point. Spikes are beyond ``limit`` robust standard deviations.
     """
-    series = _with_samples_in_moves(series)
+    # A slow logger has too few samples within a move to find it: positions between them are tried as well.
+    every = np.arange(float(len(series.time)))
+    found, refused = (tuple[Passage, ...](), 0), None
     try:
-        strokes = motion_of(series.time, series.x).strokes
+        found = _recognised(series, every, step, limit, max_gap)
+    except SurveyError as error:
+        refused = error
+    if np.median(np.diff(series.time)) >= _SLOW:
+        moving = np.flatnonzero(np.abs(np.diff(series.x)) >= SHORTEST_STROKE)
+        denser = np.sort(np.concatenate([every, moving + 1.0 / 3.0, moving + 2.0 / 3.0]))
+        with suppress(SurveyError):
+            passages, partial = _recognised(series, denser, step, limit, max_gap)
+            if _points_at_rest(passages) > _points_at_rest(found[0]):
+                # A quick way back has few samples.
+                runs = tuple(one for one in passages if one.at_rest or one.run.x.size >= MapParameters.min_points)
+                return runs, partial + len(passages) - len(runs)
+    if refused:
+        raise refused
+    return found
+
+
+def _points_at_rest(passages: Sequence[Passage]) -> int:
+    return sum(passage.run.x.size for passage in passages if passage.at_rest)
+
+
+def _recognised(
+    series: Series, at: NDArray[np.float64], step: float, limit: float, max_gap: float
+) -> tuple[tuple[Passage, ...], int]:
+    """The same by the moves of x between the samples ``at``, some of which may lie between those of the series."""
+    every = np.arange(len(series.time))
+    time, x = np.interp(at, every, series.time), np.interp(at, every, series.x)
+    # The series' own sample at or after each.
+    own = np.append(np.ceil(at).astype(np.intp), len(every))
+    try:
+        strokes = motion_of(time, x).strokes
     except MetricsError as error:
         raise SurveyError(f"survey {series.source}: {str(error).removeprefix('record: ')}") from error
-    rests = dict(zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(series.time)], strict=True))
-    ways, partial = whole_ways(strokes, series.x)
-    ends = np.sort([[series.x[way[0].start], series.x[way[-1].stop - 1]] for way in ways])
+    rests = dict(zip(strokes, [*(stroke.start for stroke in strokes[1:]), len(time)], strict=True))
+    ways, partial = whole_ways(strokes, x)
+    ends = np.sort([[x[way[0].start], x[way[-1].stop - 1]] for way in ways])
     near = np.abs(ends - np.median(ends, axis=0)).max(axis=1) <= max_gap
     chosen = [way for way, is_near in zip(ways, near.tolist(), strict=True) if is_near]
     # Where fewer than half agree none is known to be whole.
     chosen = chosen if 2 * len(chosen) >= len(ways) else ways
     passages: list[Passage] = []
     for way in chosen:
+        if own[way[-1].stop] - own[way[0].start] < 2:
+            continue
         name = str(1 + sum(passage.run.direction == way[0].direction for passage in passages))
         # Each move with the end of the rest after it.
-        passages.append(_passage(series, [(one, rests[one]) for one in way], name, step, limit))
-    return tuple(passages), len(partial) + len(ways) - len(chosen)
+        moves = [(Stroke(int(own[one.start]), int(own[one.stop]), one.direction), int(own[rests[one]])) for one in way]
+        passages.append(_passage(series, moves, name, step, limit))
+    return tuple(passages), len(partial) + len(ways) - len(passages)
 
 
 def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:

@@ -114,6 +114,18 @@ def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path
         assert passage.run.deviation == pytest.approx(guide(stops), abs=1e-12)
 
 
+def test_what_a_slow_logger_recorded_well_is_read_without_positions_between_its_samples():
+    time, x = driven(0.0, LENGTH, 0.0, rate=2.0, rest=5.0)
+    passages, _ = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    assert [np.isin(passage.run.x.round(9), x.round(9)).all() for passage in passages] == [True, True]
+    stops = np.linspace(0.0, LENGTH, 9)
+    time, x = driven(*stops, *stops[-2::-1], rate=12.0, rest=3.0)
+    # The reading before a move is wrong.
+    x[np.flatnonzero(np.diff(x))[9] - 1] += 0.3
+    passages, partial = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    assert [passage.run.direction for passage in passages] == ["forward", "backward"] and partial == 0
+
+
 def test_too_few_stops_are_refused_without_the_advice_that_is_for_runs_on_the_fly():
     stops = np.linspace(0.0, LENGTH, 12)
     time, x = driven(*stops, *stops[-2::-1])
