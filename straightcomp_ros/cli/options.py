@@ -250,7 +250,7 @@ def _checked(params_file: str | None, stage: str | None, changes: Values, namesp
 def settings(assignments: list[str]) -> Values:
     """What assignments NODE.NAME=VALUE set, by node and dotted name; raises ParameterError for another form.
 
-    A number is a text where the parameter is one: ``stage.serial=0123``.
+    A number or truth value is a text where the parameter is one: ``stage.serial=0123``.
     """
     from straightcomp_ros.parameters.declaration import ParameterError, declarations
     from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, STAGE
@@ -270,5 +270,5 @@ def settings(assignments: list[str]) -> Values:
         # Each node that works with the stage declares all of its facts.
         of, full = ("driver", target) if node == STAGE else (node, name)
         is_text = any(one.name == full and one.kind is str for one in declarations(NODE_PARAMETERS[of]))
-        changes.setdefault(node, {})[name] = value if isinstance(value, str) or not is_text else text
+        changes.setdefault(node, {})[name] = text.strip() if is_text and isinstance(value, (int, float)) else value
     return changes

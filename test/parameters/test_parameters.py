@@ -237,6 +237,10 @@ def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alon
         ('stage.serial="0123"', "stage", {"serial": "0123"}),
         ("driver.can.wire.command.signal=N", "driver", {"can.wire.command.signal": "N"}),
         ("driver.can.wire.protection.sample.data_id=0x123", "driver", {"can.wire.protection.sample.data_id": "0x123"}),
+        ("stage.guide.file= true", "stage", {"guide.file": "true"}),
+        # As where a variable of a shell is not set.
+        ("stage.guide.file=", "stage", {"guide.file": None}),
+        ("stage.guide.file=[a, b]", "stage", {"guide.file": ["a", "b"]}),
         ("feedforward.stage.rate=0x3e8", "feedforward", {"stage.rate": 1000}),
     ],
 )
