@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 _RECOMMENDED = 5
+_AS_FINE = 1.25
+"""Points of a run, relative to another's, up to which that one may have lost the others: rejected, or at its ends."""
 
 
 def cubic_spline(x: Array, values: Array) -> CubicSpline:
@@ -49,8 +51,11 @@ def point_weights(x: Array, at: Array, weights: Array) -> Array:
 
 
 def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Array, Array]:
-    """The x of the run with the most points, of equal ones the first, cut to the range that all runs cover, and all
-    runs at these x.
+    """The x of one run, cut to the range that all runs cover, and all runs at these x.
+
+    It is the run with the most points, of equal ones the first, of those that are about as fine as the median: at the
+    points of a run that is much finer than most, its noise would be taken for hysteresis. Where half of the runs are
+    much finer than the others, the first one decides.
 
     Runs with other x are interpolated by a cubic spline through their points (linear interpolation would cut 0.02 µm
     off a wave of 150 mm and 1 µm at 10 mm spacing); at a run's own points the spline is the measured value.
@@ -68,10 +73,13 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
                 f"{max(at) * 1e3:.10g} mm; allowed: within {max_gap * 1e3:.6g} mm (max_gap); was a run broken off?"
             )
     low, high = max(starts), min(ends)
-    finest = max((run.x for run in survey.runs), key=len)
+    sizes = [run.x.size for run in survey.runs]
+    middle = sorted(sizes)[(len(sizes) - 1) // 2 : len(sizes) // 2 + 1]
+    most = _AS_FINE * next(size for size in sizes if size in middle)
+    typical = max((run.x for run in survey.runs if run.x.size <= most), key=len)
     # Half a step of room to the ends: triggers jitter, and two points a micrometre apart make the spline wild.
-    room = 0.5 * float(np.median(np.diff(finest)))
-    grid = np.concatenate([[low], finest[(finest > low + room) & (finest < high - room)], [high]])
+    room = 0.5 * float(np.median(np.diff(typical)))
+    grid = np.concatenate([[low], typical[(typical > low + room) & (typical < high - room)], [high]])
     if grid.size < max(min_points, 4):
         raise SurveyError(
             f"survey {survey.source}: {grid.size} points in the range that all runs cover; "

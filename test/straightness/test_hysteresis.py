@@ -51,6 +51,15 @@ def test_noise_and_drift_of_the_instrument_are_no_hysteresis_and_leave_the_map_a
     assert found <= 1
 
 
+def test_the_noise_of_a_run_with_ten_times_the_points_is_no_hysteresis():
+    coarse, fine = surveyed(20e-3, 1e-7), surveyed(2e-3, 1e-7)
+    for place in (0, 3):
+        runs = [*coarse.runs[:place], fine.runs[place], *coarse.runs[place + 1 :]]
+        straightness = mapped(Survey(tuple(runs)))
+        assert not straightness.directed
+        assert straightness.noise.point == pytest.approx(mapped(coarse).noise.point, rel=0.1)
+
+
 def test_only_what_was_repeated_both_ways_shows_hysteresis():
     for runs in (SURVEY.runs[:2], SURVEY.runs[::2]):
         survey = Survey(runs)

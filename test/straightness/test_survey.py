@@ -491,14 +491,24 @@ def _grid(*runs):
     return *on_common_grid(survey, min_points=20, max_gap=0.05), survey
 
 
+@pytest.mark.parametrize("points", [83, 1001])
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_runs_on_the_same_x_are_taken_as_measured_and_coarser_ones_brought_onto_it_whatever_their_order(place):
+def test_runs_on_the_same_x_are_taken_as_measured_and_another_brought_onto_it_whatever_their_order(place, points):
     runs = [_run("forward"), _run("backward", 1e-7)]
-    runs.insert(place, _run("backward", x=np.linspace(0.0, 1.0, 83)))
+    runs.insert(place, _run("backward", x=np.linspace(0.0, 1.0, points)))
     x, values, _ = _grid(*runs)
     np.testing.assert_array_equal(x, GRID)
     np.testing.assert_array_equal(np.delete(values, place, axis=0), [_bow(GRID), _bow(GRID) + 1e-7])
     np.testing.assert_allclose(values[place], _bow(GRID), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("points", "place"),
+    [((93, 101), 1), ((93, 101, 93, 101), 1), ((51, 401), 0), ((401, 51), 0), ((51, 51, 401, 401), 0)],
+)
+def test_of_two_halves_the_one_that_lost_points_gives_way_and_of_unlike_ones_the_second(points, place):
+    runs = [_run("forward", x=np.linspace(0.0, 1.0, count)) for count in points]
+    np.testing.assert_array_equal(_grid(*runs)[0], runs[place].x)
 
 
 def test_the_grid_keeps_to_what_all_runs_cover():
