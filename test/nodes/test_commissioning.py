@@ -85,6 +85,8 @@ def test_steps_that_the_node_does_are_in_the_record(asker, node):
     report = asker.result("signs_and_scales")
     assert report.level == DiagnosticStatus.OK, report.message
     assert float(re.search(r"readback (\S+) times the command", report.message)[1]) == pytest.approx(1.0, abs=0.02)
+    # It pushes the platform until that leaves its travel.
+    assert asker.trigger("driver/reset_fault").message == "there was no fault"
 
 
 def test_the_node_measures_until_it_is_stopped_and_the_cell_is_refused_meanwhile(
