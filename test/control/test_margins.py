@@ -23,6 +23,8 @@ from straightcomp_ros.control.margins import (
 )
 from straightcomp_ros.control.sliding_mode import SlidingDesign, closed_loop_poles
 from straightcomp_ros.model.converters import DriveParameters
+from straightcomp_ros.model.modes import ModeParameters, ModesParameters, at_encoder
+from straightcomp_ros.model.plant import advance, plant_state
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 
@@ -131,6 +133,25 @@ def test_the_sampled_plant_answers_a_constant_current_after_its_delay_as_the_con
     position, current = (plant.c @ x + plant.d)[:, 0]
     assert current == pytest.approx(1.0)
     assert position == pytest.approx(static * (np.cosh(pole * acting) - 1.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_the_sampled_plant_of_a_flexible_platform_on_a_flexure_is_the_simulated_one_for_small_motions(late):
+    modes = ModesParameters(ModeParameters(180.0, 0.01, 0.5, -2.0), ModeParameters(600.0, 0.02, 0.3, 0.7))
+    platform = dataclasses.replace(STAGE.platform, stiffness=5e4, damping=20.0, modes=modes)
+    free = dataclasses.replace(STAGE.friction, static=0.0, coulomb=0.0, viscous=0.0)
+    stage = dataclasses.replace(STAGE, platform=platform, friction=free)
+    plant, constants, bias = sampled_plant(stage, late * PERIOD), stage.plant.constants(), stage.actuator.bias_current
+    x, state, last = np.zeros(len(plant.b)), plant_state(bias=bias), 0.0
+    places = []
+    for command in 1e-4 * np.random.default_rng(1).standard_normal(200):
+        x = plant.a @ x + plant.b[:, 0] * command
+        begin = round(late * stage.period_ns)
+        advance(constants, state, bias, last, begin, command, stage.period_ns - begin)
+        last = command
+        places.append(((plant.c @ x)[0], at_encoder(constants, state, 0)))
+    linear, seen = np.transpose(places)
+    assert linear == pytest.approx(seen, abs=0.005 * np.ptp(seen))
 
 
 def test_the_border_of_stability_is_the_one_next_to_the_stable_value():

@@ -13,8 +13,10 @@ from straightcomp_ros.straightness.feedforward import (
     FADE_TIME,
     Feedforward,
     FeedforwardParameters,
+    blended,
     restarted,
     updated,
+    weight,
 )
 
 PERIOD_NS = 500_000
@@ -62,6 +64,16 @@ def test_a_stroke_seen_by_the_encoder_is_fed_forward_within_these_figures():
     # would lag without it is 0.6 nm; r̈ by 18 µm/s², 55 µN on 3 kg.
     assert np.abs(rate_error).max() < 0.08e-6
     assert np.abs(acceleration_error).max() < 20e-6
+
+
+def test_the_rates_between_two_references_are_those_of_what_is_between_them():
+    t, h = 0.03, 1e-4
+    old = [(np.sin(40.0 * u), 40.0 * np.cos(40.0 * u), -1600.0 * np.sin(40.0 * u)) for u in (t - h, t, t + h)]
+    new = [(u * u, 2.0 * u, 2.0) for u in (t - h, t, t + h)]
+    fades = [weight(u, 0.1) for u in (t - h, t, t + h)]
+    (before, *_), (now, rate, acceleration), (after, *_) = map(blended, old, new, fades)
+    assert rate == pytest.approx((after - before) / (2.0 * h), rel=1e-3)
+    assert acceleration == pytest.approx((after - 2.0 * now + before) / h**2, rel=1e-3)
 
 
 def test_a_repeated_stamp_gives_the_same_answer_and_changes_nothing():
