@@ -12,7 +12,7 @@ import numpy as np
 
 from straightcomp_ros.model.compiled import Compiled
 
-_FLAT_STEP = """
+_FLAT_STEP = """\
 def run(k, s, answer, y, r, r_dot, r_ddot, current):
     state, command = step({gains}, {state}, y, r, r_dot, r_ddot, current)
     {stored}
@@ -146,7 +146,8 @@ def _flat_step(step: Callable[..., Any], gains: type, state: type) -> Compiled:
         state=_from_array("s", state, itertools.count(), names),
         stored="\n    ".join(stored),
     )
-    # numba caches by the name of the source's file: that of the law's module.
+    # numba caches by the source's file, and reads its text from the function's first line on: those of the law's step.
+    source = "\n" * (step.__code__.co_firstlineno - 1) + source
     exec(compile(source, step.__code__.co_filename, "exec"), names)
     return Compiled(names["run"])
 

@@ -1,5 +1,6 @@
 """The compiled step of each law is the step function to the last bit."""
 
+import inspect
 import math
 import pickle
 import random
@@ -43,6 +44,12 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
     law.reset(0)
     assert repr(answer) == repr(law.step(0.0, 0.0, 0.0, 0.0, 0.0))
     assert len(law._run.signatures) == before == 1
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_source_of_a_compiled_step_is_that_of_the_function(name):
+    law = make_law(ControlParameters(law=name), STAGE).prepare()
+    assert inspect.getsource(law._run.py_func) == inspect.getsource(law.function)
 
 
 @pytest.mark.parametrize("name", LAWS)
