@@ -26,6 +26,8 @@ class _Console(Console):
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, markup=False, emoji=False)
+        if not self.width:  # COLUMNS=0 means unknown, as for argparse; rich would print nothing
+            self.width = 80
 
     def print(self, *objects: Any, **options: Any) -> None:  # type: ignore[override]
         """As of rich; a sentence is one line, so that it can be copied, and its numbers have no colour."""

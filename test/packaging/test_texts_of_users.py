@@ -37,6 +37,12 @@ def test_a_text_is_printed_as_it_is(name, of, monkeypatch):
     assert printed(monkeypatch, styled(("ok", "green"), name), of=of) == f"ok{name}\n"
 
 
+@pytest.mark.parametrize("of", [console, notes])
+def test_a_width_of_zero_is_an_unknown_one(of, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "0")
+    assert type(of)().width == 80
+
+
 @pytest.mark.parametrize("control", ["\x1b[2J", "\x1b]0;x\x07", "\r", "\x08", "\x9b2J", "\u202e", "\x7f"])
 def test_no_text_controls_the_terminal(control, monkeypatch, verb):
     name = f"a{control}b"
