@@ -10,7 +10,7 @@ import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
 from straightcomp_ros.fleet.maintenance.day_levels import day_levels, levels_of
-from straightcomp_ros.fleet.maintenance.stage_report import evidence, faults_over_time
+from straightcomp_ros.fleet.maintenance.stage_report import evidence, faults_over_time, stage_report
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import MaintenanceError, WatchedAdvice, read_advice
 from trials.wear import BAGS_A_DAY, SOUND, WEARS, alarms_of, judged, months
@@ -178,6 +178,19 @@ def test_simulated_wear_is_found_with_its_cause(pool, wear):
     strokes = months(pool, wear, 60, 260, 5, bags=BAGS_A_DAY // 4)
     found = [one for one in advice_of(day_levels(strokes)) if one.cause == wear.cause]
     assert found and found[0].found >= date(2026, 3, 2)
+
+
+@pytest.mark.parametrize("interrupted", [[161], [160, 161], range(320)])
+def test_a_stroke_that_was_interrupted_is_part_of_no_level(pool, interrupted):
+    strokes = months(pool, SOUND, 60, 160, 5, bags=1)
+    for name, value in {"verdict": "interrupted", "lost_samples": 5000.0, "encoder_rms_um": 3.0}.items():
+        column = strokes[name].to_pylist()
+        for n in interrupted:
+            column[n] = value
+        strokes = strokes.set_column(strokes.schema.get_field_index(name), name, [column])
+    levels = day_levels(strokes)
+    assert advice_of(levels) == [] and len(levels.day) == 160
+    assert stage_report("gantry", strokes)
 
 
 AGAIN = ((PLACES >= 40) & (PLACES < 55)) | ((PLACES >= 80) & (PLACES < 95))

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.judgement import INTERRUPTED
 from straightcomp_ros.analysis.record import Array, whole
 from straightcomp_ros.fleet.history.rows import BIN_MM
 
@@ -128,8 +129,11 @@ class DayLevels:
 def day_levels(strokes: pyarrow.Table) -> DayLevels:
     """The levels from the strokes of a stage in the order of their start, at least one."""
     day = strokes["start"].to_numpy().astype("datetime64[D]").astype(np.int64)
-    columns = {name: strokes[name].to_numpy().astype(np.float64) for name in FIGURES}
+    # The figures of a part of a motion are no others' measure: of few strokes a day it would be the median.
+    part = strokes["verdict"].to_numpy() == INTERRUPTED
+    columns = {name: np.where(part, np.nan, strokes[name].to_numpy().astype(np.float64)) for name in FIGURES}
     x, profiles = on_one_grid(strokes)
+    profiles = {name: np.where(part[:, np.newaxis], np.nan, values) for name, values in profiles.items()}
     settings = {name: [value or "" for value in strokes[column].to_pylist()] for name, column in SETTINGS.items()}
     return levels_of(day, strokes["direction"].to_numpy() == "forward", columns, x, profiles, settings)
 
