@@ -181,6 +181,18 @@ def test_a_report_is_one_file_that_loads_nothing(worn, tmp_path, history):
     assert "the guide moved" in own
 
 
+def test_each_page_is_written_before_the_next_one_is_made(worn, tmp_path, history, monkeypatch):
+    there = list[int]()
+
+    def page(stage, strokes):
+        there.append(len(list(tmp_path.glob("*.html"))))
+        return stage
+
+    monkeypatch.setattr("straightcomp_ros.fleet.maintenance.stage_report.stage_report", page)
+    assert history("report", worn, "-o", tmp_path).code == 0
+    assert len(there) > 1 and there == list(range(len(there)))
+
+
 def test_a_stage_that_was_idle_since_a_day_does_not_keep_the_others_from_their_pages(tmp_path, history):
     for number in (0, 9):
         write_bag(tmp_path / "bags" / f"{number}", number, stages=2)

@@ -10,7 +10,7 @@ import argparse
 import os
 import shlex
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from datetime import date, datetime, timezone
@@ -199,7 +199,8 @@ def _advise(options: argparse.Namespace) -> None:
             what = one.remedy if one.due else "nothing: it is back where it was"
             console.print(f"  found {one.found}: {one.text}\n    → {what}")
     if folder is not None:
-        files = _written(folder, ".json", {stage: json_text(one) for stage, one in contents.items()}, options.force)
+        texts = ((stage, json_text(one)) for stage, one in contents.items())
+        files = _written(folder, ".json", contents, texts, options.force)
         if not options.json:
             first = next(iter(files.values()))
             print_written(*files.values(), then=f"straightcomp view --maintenance {shlex.quote(str(first))}")
@@ -222,8 +223,10 @@ def _report(options: argparse.Namespace) -> None:
     from straightcomp_ros.fleet.maintenance.stage_report import stage_report
 
     folder = output_folder("--output", options.output)
-    pages = {stage: stage_report(stage, strokes) for stage, strokes in _stored_stages(options)}
-    files = _written(folder, ".html", pages, options.force)
+    # What may not be replaced, or is damaged, is known before a page is written; one page at a time is in memory.
+    options.name = [stage for stage, _ in _stored_stages(options)]
+    pages = ((stage, stage_report(stage, strokes)) for stage, strokes in _stored_stages(options))
+    files = _written(folder, ".html", options.name, pages, options.force)
     if not options.json:
         for stage, file in files.items():
             console.print(f"{stage}: {file}")
@@ -327,15 +330,17 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
         raise CommandFailed(f"store {options.store} has no strokes{since}")
 
 
-def _written(folder: Path, ending: str, texts: Mapping[str, str], force: bool) -> dict[str, Path]:
-    """Write a text for each stage into a folder, and return its file: a stage may be called anything."""
+def _written(
+    folder: Path, ending: str, stages: Iterable[str], texts: Iterable[tuple[str, str]], force: bool
+) -> dict[str, Path]:
+    """Write a text for each of these stages into a folder, and return its file: a stage may be called anything."""
     from straightcomp_ros.fleet.history.rows import stored_name
     from straightcomp_ros.parameters.output_files import making, write_whole
 
-    files = {stage: folder / f"{quote(stored_name(stage), safe=' ')}{ending}" for stage in texts}
+    files = {stage: folder / f"{quote(stored_name(stage), safe=' ')}{ending}" for stage in stages}
     with making(folder, [file.name for file in files.values()], force=force, anew=False):
-        for stage, file in files.items():
-            write_whole(file, texts[stage])
+        for stage, text in texts:
+            write_whole(files[stage], text)
     return files
 
 
