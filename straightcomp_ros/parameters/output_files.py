@@ -81,6 +81,8 @@ def check_writable(path: str | Path) -> None:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         if path.is_file() or not path.exists():
+            with suppress(FileNotFoundError):
+                path.stat()  # raises where links lead to each other
             with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
                 pass
     except OSError as error:

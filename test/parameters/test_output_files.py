@@ -111,6 +111,7 @@ def test_what_cannot_be_written_is_known_before_and_nothing_is_left_of_the_attem
     (tmp_path / "file").write_text("old")
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere" / "file")
+    (tmp_path / "loop").symlink_to("loop")
     for name in ("file", "new", "pipe"):
         check_writable(tmp_path / name)
     for name, error in (
@@ -118,11 +119,12 @@ def test_what_cannot_be_written_is_known_before_and_nothing_is_left_of_the_attem
         ("nowhere/file", FileNotFoundError),
         ("file/new", NotADirectoryError),
         ("link", FileNotFoundError),
+        ("loop", OSError),
     ):
         with pytest.raises(error) as caught:
             check_writable(tmp_path / name)
         assert caught.value.filename == str(tmp_path / name) and caught.value.strerror
-    assert {one.name for one in tmp_path.iterdir()} == {"file", "pipe", "link"}
+    assert {one.name for one in tmp_path.iterdir()} == {"file", "pipe", "link", "loop"}
     assert (tmp_path / "file").read_text() == "old"
 
 
