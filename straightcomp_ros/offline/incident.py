@@ -5,6 +5,7 @@ diagnostics and the faults, what the doctor found on that computer, the nodes' l
 and named. To read one neither ROS nor the machine is needed.
 """
 
+import errno
 import hashlib
 import importlib.metadata
 import json
@@ -406,6 +407,7 @@ def unpack(file: Path, folder: Path) -> dict[str, Any]:
     Raises:
         IncidentError: the file is no incident, or was changed; nothing of a refused file is used.
         FileExistsError: the folder is not empty, as another process unpacks there.
+        OSError: the file cannot be read, or the folder not be written.
     """
     try:
         with zipfile.ZipFile(file) as archive:
@@ -425,9 +427,12 @@ def unpack(file: Path, folder: Path) -> dict[str, Any]:
         digests = dict(details["sha256"])
         [Finding(**one) for one in json.loads((folder / DOCTOR).read_text(encoding="utf-8"))]
         list(details.get("left_out", ()))
-    except (IncidentError, FileExistsError):
+    except IncidentError:
         raise
     except Exception as error:  # of the archive, of what is compressed in it, of its files
+        # Errors of bz2 have no number; a damaged archive has a place before its begin, and may lack a file.
+        if isinstance(error, OSError) and error.errno not in (None, errno.EINVAL, errno.ENOENT):
+            raise OSError(error.errno, error.strerror, error.filename or str(folder)) from error
         raise IncidentError(f"{file}: is no incident, or is damaged: {type(error).__name__}: {error}") from error
     named = {entry.filename for entry in entries} - {SUMMARY, DETAILS}
     changed = sorted(

@@ -1,5 +1,6 @@
 """An incident names its cause, opens anywhere, tells no secret, and a file that only looks like one is refused."""
 
+import resource
 import shutil
 import sqlite3
 import zipfile
@@ -258,6 +259,16 @@ def test_of_two_that_open_an_incident_into_one_folder_the_second_leaves_the_file
     monkeypatch.setattr(incident, "_check", lambda *_: first.write_text("of the first"))
     assert "INCIDENT.txt: File exists" in verb("incident", "open", packed.file, "-o", tmp_path / "a").err
     assert first.read_text() == "of the first"
+
+
+def test_a_disk_that_takes_no_more_is_no_damage_of_the_incident(packed, tmp_path, verb):
+    limit, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, most))
+    try:
+        code, _, said = verb("incident", "open", packed.file, "-o", tmp_path / "a")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, most))
+    assert code == 1 and said.endswith(f"{tmp_path / 'a'}: File too large\n") and not (tmp_path / "a").exists()
 
 
 @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.999])
