@@ -36,7 +36,7 @@ def test_add_tells_what_it_added_and_a_folder_may_hold_bags_that_are_refused(mon
     assert first.code == 0 and first.err.count("refused: bag ") == 2
     assert first.json == {"store": str(store), "added": COUNT, "known": 0, "refused": 2, "strokes": 2 * COUNT}
     code, out, err = history("add", months, "-o", store)
-    assert code == 0 and f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes added 0" in out
+    assert code == 0 and f"added 0, known and unchanged {COUNT + 2}, refused 0; strokes in those added: 0" in out
     assert err == f"written: {store}\nnext: straightcomp history advise {store}\n"
     named = history("add", months, BAGS / "cut_off", "-o", store)
     assert named.code == 1 and "FROM refused" in named.err

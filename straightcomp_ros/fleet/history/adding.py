@@ -28,7 +28,8 @@ _BLOCK = 1 << 20
 
 @dataclass
 class Tally:
-    """How many bags were added, were known and unchanged, or were refused, and how many strokes were added."""
+    """How many bags were added, were known and unchanged, or were refused, and how many strokes those added have,
+    new to the store or not."""
 
     added: int = 0
     known: int = 0

@@ -107,7 +107,7 @@ def _add(options: argparse.Namespace) -> None:
         print_json({"store": options.store, **asdict(tally)})
     else:
         counts = f"added {tally.added}, known and unchanged {tally.known}, refused {tally.refused}"
-        console.print(f"{options.store}: bags {counts}; strokes added {tally.strokes}")
+        console.print(f"{options.store}: bags {counts}; strokes in those added: {tally.strokes}")
     before = [reason for bag in sorted(named - refused) if (reason := store.row(bag).get("reason"))]
     for reason in before:
         notes.print(f"refused before, and unchanged: {reason}")
