@@ -123,7 +123,10 @@ def locked(file: Path) -> Iterator[None]:
         with suppress(OSError):
             # Others than its owner lock it too, whatever the umask was: it has no content.
             os.fchmod(lock, os.fstat(lock).st_mode & 0o777 | 0o444)
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        except OSError as error:  # of a network's file system without locks
+            raise OSError(error.errno, error.strerror, str(file)) from error
         yield
     finally:
         os.close(lock)

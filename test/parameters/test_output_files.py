@@ -1,6 +1,7 @@
 """Files are written whole, what was made in an output folder is replaced, everything else is kept; and what another
 user may have made is never taken for ours."""
 
+import errno
 import fcntl
 import os
 import shutil
@@ -88,6 +89,13 @@ def test_a_lock_that_may_not_be_written_is_waited_for_and_taken(tmp_path, monkey
     finally:
         if root:
             os.seteuid(0)
+
+
+def test_a_file_system_without_locks_is_an_error_that_names_the_lock(tmp_path, monkeypatch):
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(errno.ENOLCK, "No locks available")))
+    with pytest.raises(OSError) as caught, locked(tmp_path / "lock"):
+        pytest.fail("nothing is locked")
+    assert caught.value.filename == str(tmp_path / "lock")
 
 
 def test_a_pipe_gets_what_is_written(tmp_path):
