@@ -36,7 +36,7 @@ _NO_FRAME = "its first frame cannot be read; allowed: a whole log of the kind th
 _SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
 """A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
 _OF_FORMATS = (BLFParseError, struct.error, zlib.error, sqlite3.Error)
-_UNREADABLE = (*_OF_FORMATS, ValueError, LookupError, ArithmeticError, TypeError, EOFError, OSError)
+_UNREADABLE = (*_OF_FORMATS, ValueError, LookupError, ArithmeticError, TypeError, EOFError, MemoryError, OSError)
 _LINES = (".log", ".asc", ".trc", ".csv")
 """Endings of logs with a line for each frame."""
 _MARKED: dict[str, Callable[[TextIO], Any]] = {".log": can.CanutilsLogReader, ".trc": can.TRCReader}

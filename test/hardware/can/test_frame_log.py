@@ -10,6 +10,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -164,6 +165,13 @@ def test_replay_ends_by_itself_and_says_where_a_log_is_damaged(tmp_path, verb, d
     assert printed.code == 0 and "damaged after frame 50" in printed.err
     assert printed.out == '{"sent": 50, "damaged": true}\n'
     assert arrived[-1].timestamp - begin_s > 0.0245
+
+
+def test_a_line_that_the_memory_does_not_hold_is_damage(tmp_path, verb, monkeypatch):
+    (tmp_path / "bus.log").write_text("(1700000001.0) can0 701#05 R\n")
+    monkeypatch.setattr(can.CanutilsLogReader, "__iter__", Mock(side_effect=MemoryError))
+    printed = replayed(verb, tmp_path / "bus.log")
+    assert printed.code == 2 and "its first frame cannot be read" in printed.err
 
 
 def lines_of(times, channels=("can0",)):
