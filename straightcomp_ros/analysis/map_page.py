@@ -102,7 +102,7 @@ def _figures(built: BuiltMap) -> Iterator[tuple[str, str]]:
         yield one.line.replace("_", " "), f"{value:.3f} µm ± {uncertainty:.2g} µm (ISO 230-1, map, U)"
     for name in ("forward", "backward", "bidirectional"):
         value = figures[f"repeatability_{name}_um"]
-        yield f"R {name}", "unknown" if value is None else f"{value:.3f} µm (ISO 230-2, k = 2)"
+        yield f"R {name}", "unknown" if value is None else f"{with_digits(value, 3)} µm (ISO 230-2, k = 2)"
     largest, average = (figures[f"reversal_{name}_um"] for name in ("max", "mean"))
     yield (
         "reversal",

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Array, group_means, whole, whole_ways
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -168,13 +169,14 @@ def budget_rows(displayed: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     for statement in displayed:
         cells: dict[str, Any] = dict.fromkeys(f"u_{name}_um" for name in names)
         for one in statement["budget"]:
-            known = f"{one['share_um']:.3f}" if one["counts"] else f"({one['share_um']:.3f})"
+            share = with_digits(one["share_um"], 3)
+            known = share if one["counts"] else f"({share})"
             cells[f"u_{one['contribution']}_um"] = "?" if one["standard_uncertainty_um"] is None else known
         what = f"{statement['when']}, {statement['direction']}, {statement['line'].replace('_', ' ')}"
         # Statements of a stored certificate may be older.
         what += f", without {statement['left_out']} strokes" if statement.get("left_out") else ""
         figures = {name: statement[f"{name}_um"] for name in ("measured", "value", "expanded_uncertainty")}
-        shown = {f"{name}_um": "?" if figure is None else f"{figure:.3f}" for name, figure in figures.items()}
+        shown = {f"{name}_um": "?" if figure is None else with_digits(figure, 3) for name, figure in figures.items()}
         rows.append({"straightness": what, **shown, **cells})
     return rows
 

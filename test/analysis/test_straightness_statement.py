@@ -80,6 +80,9 @@ def test_a_budget_lists_each_contribution_and_repeatability_contains_the_encoder
         assert one.value == pytest.approx(one.measured + encoder.correction + survey.correction)
         for line in one.to_display()["budget"]:
             assert line["sensitivity"] * line["standard_uncertainty_um"] == pytest.approx(line["share_um"])
+        # A nanometre is not shown as none.
+        small = {**one.to_display(), "value_um": 0.00023, "budget": [{**line, "share_um": 0.00041}]}
+        assert [float(budget_rows([small])[0][name]) for name in ("value_um", "u_map_um")] == [0.00023, 0.00041]
         # Of eight strokes: s/√8, and k = 2 is to hold as much as t = 2.43 of seven degrees of freedom.
         assert repeatability.share == pytest.approx(repeatability.uncertainty / math.sqrt(8.0) * 2.43 / 2.0, rel=1e-3)
 

@@ -148,7 +148,7 @@ def identification(work: Work) -> Outcome:
     words += ", which the design answers as it was found" if modes else ""
     return Outcome(
         True,
-        f"the model predicts each sample within {found.fit.rms_error_m * 1e9:.0f} nm RMS"
+        f"the model predicts each sample within {with_digits(found.fit.rms_error_m * 1e9, 0)} nm RMS"
         f"{f'; {found.centre}' if found.centre else ''}{words}; facts that stay open, named in the "
         f"certificate: {len(found.not_identifiable)}",
         figures,
@@ -408,7 +408,7 @@ def design(work: Work) -> Outcome:
     if not found.holds:
         verdict = found.verification.verdict
         return Outcome(False, f"the designed law is not in order on all machines that are left: {verdict}", figures)
-    sentence = f"{with_digits(pp, 3)} µm p-p predicted, at {step:.2f} mA from sample to sample"
+    sentence = f"{with_digits(pp, 3)} µm p-p predicted, at {with_digits(step, 2)} mA from sample to sample"
     sentence = "; ".join([sentence, *found.warnings])
     return Outcome(True, sentence, figures, gains={"control.law": LAW, **unset, **found.values, **found.newer})
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import NDArray
 
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.judged_motion import JudgedMotion, dither_frequency
 from straightcomp_ros.analysis.judgement import IN_ORDER, INACCURATE, Verdict
 from straightcomp_ros.analysis.record import motion_of
@@ -279,7 +280,8 @@ def plot_sweep(summaries: Sequence[LawSummary], path: Path, title: str) -> None:
         x = np.concatenate([errors_um[:1], errors_um])
         fraction = np.arange(x.size) / summary.trials
         p50, p95 = (summary.percentiles("pp")[name] * 1e6 for name in ("p50", "p95"))
-        label = f"{summary.law}: p50 {p50:.2f} µm, p95 {p95:.2f} µm, {len(summary.not_in_order)} not in order"
+        errors = f"p50 {with_digits(p50, 2)} µm, p95 {with_digits(p95, 2)} µm"
+        label = f"{summary.law}: {errors}, {len(summary.not_in_order)} not in order"
         axes.step(x, fraction, where="post", color=colour, linestyle=style, linewidth=1.6, label=label)
     if known and max(known) > _WIDE * min(known) > 0.0:
         axes.set_xscale("log")

@@ -113,7 +113,8 @@ def _section(design: Design) -> list[str]:
     figures, values = design.figures, {**design.values, **design.newer}
     return [
         f"{_BEGIN} law {design.law}, --quiet {design.quiet:g};",
-        f"# {figures.pp.median * 1e6:.3f} µm p-p at {figures.work.median * 1e3:.2f} mA from sample to sample.",
+        f"# {with_digits(figures.pp.median * 1e6, 3)} µm p-p at {with_digits(figures.work.median * 1e3, 2)} mA from "
+        "sample to sample.",
         f"{_KEY}:",
         "  ros__parameters:",
         f"    control.law: {as_yaml(design.law)}",

@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.cli.options import (
     PICTURES,
     add_force,
@@ -164,9 +165,9 @@ def _print(found: ComparedResponse, name: str) -> None:
     if found.clipped:
         notes.print(f"The current limit cut {found.clipped} samples of the excitation: take less current")
     notes.print(
-        f"Friction is taken as the damping that it equals at {found.measured.speed * 1e3:.2f} mm/s RMS: "
-        f"{found.damping:.0f} N·s/m. straightcomp design and stage check leave it out: their margins are smaller, and "
-        "hold for a platform that slides",
+        f"Friction is taken as the damping that it equals at {with_digits(found.measured.speed * 1e3, 2)} mm/s RMS: "
+        f"{with_digits(found.damping, 0)} N·s/m. straightcomp design and stage check leave it out: their margins are "
+        "smaller, and hold for a platform that slides",
     )
 
 

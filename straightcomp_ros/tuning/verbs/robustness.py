@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> None:
 def _row(summary: LawSummary) -> list[object]:
     texts = {name: with_digits(value * 1e6, 3) for name, value in summary.percentiles("pp").items()}
     pp = [doubtful(text) if name in summary.doubtful else text for name, text in texts.items()]
-    step = f"{summary.percentiles('control_rms_step')['p50'] * 1e3:.1f}"
+    step = with_digits(summary.percentiles("control_rms_step")["p50"] * 1e3, 1)
     return [summary.law, *pp, step, len(summary.not_in_order)]
 
 
