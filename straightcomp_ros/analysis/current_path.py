@@ -52,7 +52,7 @@ _MEAN = 0.01
 """s; over which positions are averaged before their changes are summed up: the flicker of a count from sample to sample
 adds up to more than a motion."""
 LEAST_TRAVEL = 2e-6
-"""Travel of the platform in m below which it only creeps on its bristles."""
+"""Travel of the platform in m below which it may only creep on its bristles."""
 SWITCH_ON = 10
 """Samples after the switch-on that are left out, while the bias current rises."""
 
@@ -74,14 +74,14 @@ class Recording:
         return len(self.y) * self.period_ns * 1e-9
 
 
-def read_recording(bag: Path) -> Recording:
+def read_recording(bag: Path, least_travel: float = LEAST_TRAVEL) -> Recording:
     """The longest stretch of a bag in which the amplifier is on and no sample is missing; of more than :data:`LONGEST`
     samples those in which the platform moves most.
 
     Raises:
         BagError: the bag cannot be read.
-        IdentificationError: a stream is missing, its stamps go back, the amplifier is never on long enough, or nothing
-            moves.
+        IdentificationError: a stream is missing, its stamps go back, the amplifier is never on long enough, or the
+            platform moves by less than ``least_travel`` in m.
     """
     streams = read_streams(bag, {stream.topic: stream.layout for stream in (ENCODER, COMMAND)})
     for stream in (ENCODER, COMMAND):
@@ -116,10 +116,11 @@ def read_recording(bag: Path) -> Recording:
     start += _busiest(y[start:stop], max(1, round(_MEAN * 1e9 / period_ns)))
     stretch = slice(start, min(stop, start + LONGEST))
     travel = float(np.ptp(y[stretch]))
-    if travel < LEAST_TRAVEL:
+    if travel < least_travel:
         raise IdentificationError(
             f"bag {bag}: nothing moves: the platform stays within {travel * 1e6:.2g} µm, the stage within "
-            f"{float(np.ptp(x[stretch])) * 1e3:.3g} mm; allowed: platform >= {LEAST_TRAVEL * 1e6:g} µm; move the stage"
+            f"{float(np.ptp(x[stretch])) * 1e3:.3g} mm; allowed: platform >= {least_travel * 1e6:.2g} µm; move the "
+            "stage"
         )
     # The command before replaces a missing one, as in the amplifier.
     before = np.searchsorted(commands.stamp, encoder.stamp[stretch], side="right") - 1

@@ -109,6 +109,10 @@ def test_a_bag_that_cannot_be_identified_is_refused(tmp_path, y, current, others
         read_recording(bag)
 
 
+def test_a_platform_may_be_read_that_moves_as_little_as_its_stage_needs(tmp_path):
+    assert read_recording(written(tmp_path / "bag", 0.05 * MOVING, ON), 9e-7).total == 5000
+
+
 def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
     assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)

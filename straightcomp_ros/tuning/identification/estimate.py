@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from straightcomp_ros.analysis.current_path import CurrentPath, Recording, current_path, read_recording
+from straightcomp_ros.analysis.current_path import LEAST_TRAVEL, CurrentPath, Recording, current_path, read_recording
 from straightcomp_ros.model.motion import reach
 from straightcomp_ros.parameters.declaration import declarations
 from straightcomp_ros.parameters.parameter_file import as_yaml
@@ -48,6 +48,8 @@ The search takes rounding for white noise. It is not, and with a coarse encoder 
 the spread of the prediction errors shows. Found on the machines 0 to 11 of docs/evidence/commissioning.md.
 """
 _WIDEST = 1e3
+_BENDINGS, _COUNTS = 3.0, 20.0
+"""Least travel, in the bending of the bristles before the platform slides, and in counts of the encoder."""
 DERIVED = {"actuator.current_stiffness": "N/A", "actuator.position_stiffness": "N/m"}
 """K̄_i and K̄_y with their units: shown, but not parameters of their own."""
 _POWERS = {
@@ -180,7 +182,7 @@ def estimate_from_bag(
         IdentificationError: the bag is not fit for it, or ``known`` is refused.
     """
     searched = unknowns(start, known)
-    recording = read_recording(bag)
+    recording = read_recording(bag, least_travel(start))
     middle = centre(recording, start.friction.stribeck_velocity)
     if middle is not None and middle.certain:
         # The model has its magnets around zero.
@@ -190,6 +192,12 @@ def estimate_from_bag(
     rounded = _ROUNDED * start.encoder.y_resolution / float(recording.y.std())
     parameters = _parameters(found, searched, rounded, blocks=max(2, int(recording.duration / BLOCK)))
     return Estimate(parameters, recording, path, found, middle)
+
+
+def least_travel(stage: StageParameters) -> float:
+    """Travel in m with which the platform of ``stage`` slides: less than usual where its friction gives way sooner."""
+    bending = stage.friction.static / stage.friction.bristle_stiffness
+    return min(LEAST_TRAVEL, max(_BENDINGS * bending, _COUNTS * stage.encoder.y_resolution))
 
 
 def _parameters(found: Fit, searched: Unknowns, rounded: float, blocks: int) -> dict[str, Estimated]:

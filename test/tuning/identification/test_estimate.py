@@ -38,6 +38,7 @@ from straightcomp_ros.tuning.identification.estimate import (
     Estimated,
     estimate_from_bag,
     excitation,
+    least_travel,
     parameter_file,
 )
 from straightcomp_ros.tuning.identification.unknowns import NAMES, centre, sliding_start, unknowns
@@ -514,6 +515,15 @@ def test_the_model_resolves_stiff_bristles_under_a_light_platform_as_the_simulat
     state = plant_state(velocity=1e-6)
     advance(searched.constants(searched.start, 3000.0), state, 0.0, 0.0, 30_000_000)
     assert abs(state[1]) < 0.2e-6
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "count", "travel"), [(1e6, 1e-7, 2e-6), (1e5, 1e-9, 2e-6), (1e7, 1e-9, 1.935e-7), (1e7, 5e-8, 1e-6)]
+)
+def test_a_platform_whose_friction_gives_way_sooner_may_move_less(stiffness, count, travel):
+    friction = dataclasses.replace(START.friction, bristle_stiffness=stiffness)
+    encoder = dataclasses.replace(START.encoder, y_resolution=count)
+    assert least_travel(dataclasses.replace(START, friction=friction, encoder=encoder)) == pytest.approx(travel)
 
 
 def test_a_slow_short_stage_without_friction_on_a_fine_encoder_is_found_within_its_intervals(tmp_path):
