@@ -18,6 +18,7 @@ from straightcomp_ros.parameters.output_files import MARK
 from straightcomp_ros.straightness.survey import read_survey
 from straightcomp_ros.tuning.commissioning import MADE, RECORD, STEP_FILES, CommissionRefused, procedure
 from straightcomp_ros.tuning.commissioning import machine as machines
+from straightcomp_ros.tuning.commissioning.closed_loop import STAYS_OPEN
 from straightcomp_ros.tuning.commissioning.machine import Outcome, SimulatedMachine
 from straightcomp_ros.tuning.commissioning.procedure import STEPS, Procedure
 
@@ -94,15 +95,34 @@ def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_comman
     assert kept.code == 0 and "next: all is done" in kept.err
 
 
+def as_described(work):
+    """An identification that finds the machine as it is described, and what stays open of it."""
+    facts = {f"uncertainty.{name}": open_ for name, open_ in STAYS_OPEN.items()}
+    return Outcome(True, "as described", {"parameters": {}, "untold": []}, stage=facts)
+
+
+ROUGHLY = {"mass": 0.8, "force": 1.2, "air_gap": 0.75, "friction": 0.5, "amplifier": 1.5}
+
+
 @pytest.mark.parametrize(
-    ("stroke", "few"),
+    ("identification", "truth", "stroke", "few"),
     [
-        pytest.param(0.2, ["--evaluations", "12", "--machines", "4"], id="short"),
-        pytest.param(1.76, ["--evaluations", "40", "--machines", "20"], id="whole", marks=pytest.mark.nightly),
+        # The search itself, which takes longer than all the rest, is in `test_estimate.py`.
+        pytest.param(as_described, {}, 0.1, ["--evaluations", "6", "--machines", "2"], id="as described"),
+        pytest.param(
+            STEPS["identification"],
+            ROUGHLY,
+            1.76,
+            ["--evaluations", "40", "--machines", "20"],
+            id="whole",
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
-def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(stroke, few, folder, commission, verb):
-    truth = {"mass": 0.8, "force": 1.2, "air_gap": 0.75, "friction": 0.5, "amplifier": 1.5}
+def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(
+    identification, truth, stroke, few, folder, commission, verb, monkeypatch
+):
+    monkeypatch.setattr(procedure, "STEPS", {**STEPS, "identification": identification})
     settings = {f"{TRUTH}{name}": value for name, value in truth.items()}
     settings |= {"driver.stage.drive.delay": 1.3, "stage.motion.stroke": stroke}
     words = [*(f"--set={name}={value}" for name, value in settings.items()), *few, "--json"]
