@@ -113,10 +113,11 @@ def far_bag(tmp_path_factory, waves):
 
 
 @pytest.fixture(scope="module")
-def stiff_answer(stiff_bag, tmp_path_factory):
-    """What `straightcomp friction BAG -o FILE --json` says of the stiff plant, and the file."""
-    file = tmp_path_factory.mktemp("answer") / "plant.yaml"
-    found = ran("friction", stiff_bag, "-o", file, "--json")
+def stiff_answer(waves, tmp_path_factory):
+    """What `straightcomp friction BAG -o FILE --json` says of the stiff plant after a short way, and the file."""
+    folder = tmp_path_factory.mktemp("answer")
+    bag, file = recorded_run(folder / "bag", values(STIFF, guide_file=waves, motion_stroke=0.2)), folder / "plant.yaml"
+    found = ran("friction", bag, "-o", file, "--json")
     assert found.code == 0, found.err
     return found.json, file
 
