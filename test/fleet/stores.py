@@ -6,7 +6,7 @@ from straightcomp_ros.fleet.history.adding import Tally, add
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.store import Store
 
-COUNT, STAGES = 6, 2
+COUNT, STAGES = 4, 2
 """Good bags of the fixture ``months``, and their stages."""
 
 
