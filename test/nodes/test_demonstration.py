@@ -169,7 +169,7 @@ def simulated_and_live(values, offline, folder, composed=False):
 @pytest.mark.parametrize(
     ("law", "delay", "composed"),
     [
-        # Each node in a process of its own is in the next test.
+        # Each node in a process of its own is in `test_player.py`.
         ("smc_observer", 0.5, True),
         *nightly(
             one for one in itertools.product(LAWS, (0.5, 1.2), (False, True)) if one != ("smc_observer", 0.5, True)
@@ -181,20 +181,16 @@ def test_the_graph_in_lockstep_equals_the_simulation_to_the_last_bit(tmp_path, i
     # The delay is the one that is described; strokes begin where they are described to, too.
     start = 0.7 if composed else 0.0
     in_lockstep["stage"].update({"drive.delay": delay, "uncertainty.longest_delay": 1.0, "motion.start": start})
+    if composed:
+        # A map with two tables, 0.2 µm apart.
+        file = str(tmp_path / "survey.csv")
+        write_survey(file, surveyed(10e-3, 25e-9, Kind(hysteresis=30e-6)))
+        in_lockstep["stage"]["guide.file"] = in_lockstep["driver"]["simulated.truth.guide"] = file
     offline = Simulation(in_lockstep).run()
-    assert simulated_and_live(in_lockstep, offline, tmp_path, composed).record.law == law
+    live = simulated_and_live(in_lockstep, offline, tmp_path, composed)
+    assert live.record.law == law and live.map.directed is live.record.reference.directed is composed
     assert audit(tmp_path / "bag").passed
     assert np.ptp(offline.current) > 0.005  # it did work for its result
-
-
-def test_the_graph_in_lockstep_follows_a_map_with_two_tables_as_the_simulation_does(tmp_path, in_lockstep):
-    file = str(tmp_path / "survey.csv")
-    # 0.2 µm in the middle of the short stroke.
-    write_survey(file, surveyed(10e-3, 25e-9, Kind(hysteresis=30e-6)))
-    in_lockstep["stage"].update({"guide.file": file})
-    in_lockstep["driver"]["simulated.truth.guide"] = file
-    live = simulated_and_live(in_lockstep, Simulation(in_lockstep).run(), tmp_path)
-    assert live.map.directed and live.record.reference.directed
 
 
 @pytest.mark.nightly
