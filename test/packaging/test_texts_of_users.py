@@ -8,6 +8,7 @@ import sys
 import pytest
 from places import REPOSITORY
 from rich.table import Table
+from tiers import nightly
 
 from straightcomp_ros.analysis.html_page import blocks, line_figure
 from straightcomp_ros.analysis.pictures import as_text
@@ -53,8 +54,13 @@ def test_no_text_controls_the_terminal(control, monkeypatch, verb):
         assert found.code in (1, 2) and control not in found.err
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
-@pytest.mark.parametrize("words", ["evaluate none-µ-\udcff-轴", "stage show SHIPPED"])
+ODD = "evaluate none-µ-\udcff-轴"
+
+
+@pytest.mark.parametrize(
+    ("words", "encoding"),
+    [(ODD, "ascii"), (ODD, "utf-8"), ("stage show SHIPPED", "ascii"), *nightly([("stage show SHIPPED", "utf-8")])],
+)
 def test_every_text_prints_in_every_encoding(words, encoding, tmp_path):
     command = words.replace("SHIPPED", str(REPOSITORY / "config" / "stage_synthetic.yaml")).split()
     done = subprocess.run(
