@@ -5,10 +5,11 @@ import random
 import resource
 import shutil
 import time
+from functools import cache
 from pathlib import Path
 
 import pytest
-from bag_of_rows import bag_of
+from bag_of_rows import Message, bag_of
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -117,10 +118,15 @@ def test_flipped_bytes_never_bring_a_message_that_was_not_recorded(tmp_path, com
         assert {(data, time_ns) for _, time_ns, data in contents(output)} <= {(d, t) for _, t, d in every}
 
 
+@cache
+def sound_messages() -> list[Message]:
+    with Reader(SMC) as reader:
+        return [(one.topic, one.msgtype, bytes(data), time, time) for one, time, data in reader.messages()]
+
+
 def split_run(folder: Path, parts: int) -> list[Path]:
     """The messages of a sound run in order, in several files."""
-    with Reader(SMC) as reader:
-        found = [(one.topic, one.msgtype, bytes(data), time, time) for one, time, data in reader.messages()]
+    found = sound_messages()
     folder.mkdir()
     size, files = -(-len(found) // parts), [folder / f"run_{number}.mcap" for number in range(parts)]
     for number, file in enumerate(files):
