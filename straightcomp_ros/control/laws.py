@@ -224,6 +224,8 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         dither=amplitude,
         turn=smc_observer.Dither(math.cos(turn), math.sin(turn), turn / (math.tau * _BEGINNING)),
         knee=knee,
+        code=stage.drive.current_step,
+        half_codes=stage.drive.half_codes,
         loop=loop,
         filters=filters,
     )

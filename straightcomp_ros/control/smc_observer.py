@@ -69,6 +69,7 @@ from straightcomp_ros.control.observer import (
     with_measured_current,
 )
 from straightcomp_ros.model.compiled import compilable
+from straightcomp_ros.model.converters import nearest_step
 from straightcomp_ros.model.friction import LuGre, bristle_after, friction_force
 
 _FIRST_VARIANCE = 1.0
@@ -169,6 +170,7 @@ class Gains(NamedTuple):
         dither: its amplitude in A with friction as described.
         turn: cosine and sine of the angle by which it goes on in a period, and by how much its level then changes.
         knee: m/s, beside which friction saturates under that dither; 0 without dither.
+        code, half_codes: A, and how many of them to either side: what the D/A converter can give.
     """
 
     free: Stiffness
@@ -194,6 +196,8 @@ class Gains(NamedTuple):
     dither: float
     turn: Dither
     knee: float
+    code: float
+    half_codes: int
     loop: Loop
     filters: Filters
 
@@ -263,10 +267,14 @@ def step(
     asked, rest = _held(g, state.rest, fit, asked, y, r, r_dot)
     asked, dither = _dithered(g, state.dither, rest, fit, asked)
     answer = limited(loop.current_limit, asked)
-    after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
     if believed < g.counting:
         # The slow observer would follow a stiffness that is not as described too late: the fit knows it.
         others += fit.slope / g.travel * r_dot * g.loop.period
+        # Nothing holds the platform against what the converter rounds off: the observer knows it before it shows. No
+        # size at all is only in the linearisation of `margins.py`.
+        if believed > 0.0 and math.isfinite(answer):
+            answer = limited(loop.current_limit, nearest_step(g.code, g.half_codes, answer))
+    after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
     return State(prior, answer, bristle, fit, kept, rest, dither, memory), command
