@@ -48,6 +48,8 @@ LAST_S = 60
 """Time in s before the fault that an incident has: some 30 MB at 2 kHz, which bounds its size."""
 _AFTER_S = 2.0
 """Wait in s after the fault, in which each node reports it once and the bag has what follows it."""
+_AT_END_S = 3.0
+"""Longest wait at the end of the node: a launcher that has no answer for 5 s ends it by force."""
 _OWN_NAMES = "????_??_??-??_??_??_*.zip"
 """Of the incidents that are packed here: another file in their folder is the user's."""
 _IDLE = ("chrt", "--idle", "0")
@@ -57,10 +59,10 @@ _IDLE = ("chrt", "--idle", "0")
 class FaultIncidents:
     """Watches `safety_state`; keeps the newest ``number`` incidents beside the bag that ``recording`` returned at the
     fault, None while there is none. ``save`` completes that bag first, if it is still recorded, in as many turns of the
-    timer as it yields. One at a time: a fault while an incident is packed, or waits for it, is in that one.
+    timer as it yields. One at a time: a fault while an incident of the same bag waits is in that one.
 
     Attributes:
-        due: the incident that waits: when to pack it, the fault's name, and the bag.
+        due: the incidents that wait, by their bags: when to pack each, and the fault's name.
     """
 
     def __init__(
@@ -71,43 +73,58 @@ class FaultIncidents:
         save: Callable[[], Iterable[None]] = tuple,
     ) -> None:
         self._node, self._number, self._recording, self._save = node, number, recording, save
-        self.due: tuple[float, str, Path] | None = None
+        self.due: dict[Path, tuple[float, str]] = {}
+        self._packing: Iterator[None] = iter(())
         self._seen = ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         node.create_timer(0.5, partial(next, self._work()))
 
+    def close(self) -> None:
+        """Pack at once what waits; the bags are finished. What takes longer goes on when this process has ended."""
+        packing = [self._packing, *(self._pack(bag, fault) for bag, (_, fault) in self.due.items())]
+        end = time.monotonic() + _AT_END_S
+        while any([next(one, self) is None for one in packing]) and time.monotonic() < end:
+            time.sleep(0.05)
+
     def _on_safety_state(self, status: DiagnosticStatus) -> None:
         fault = f"{status.name} {[one.value for one in status.values]}" if status.name else ""
         bag = self._recording()
-        if bag and fault and fault != self._seen and self.due is None:
-            self.due = time.monotonic() + _AFTER_S, status.name, bag
+        if bag and fault and fault != self._seen:
+            self.due.setdefault(bag, (time.monotonic() + _AFTER_S, status.name))
         self._seen = fault
 
     def _work(self) -> Iterator[None]:
         """Pack incidents, one at a time; each ``yield`` waits for the timer."""
         while True:
             yield
-            if self.due is None or time.monotonic() < self.due[0]:
-                continue
-            (_, fault, bag), self.due = self.due, None
-            if bag == self._recording():  # else that bag is finished
-                yield from self._save()
-            folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
-            file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
-            words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]
-            try:
-                folder.mkdir(exist_ok=True)
-                process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            except OSError as error:
-                self._node.get_logger().warning(f"the incident of {fault} was not packed: {error}")
-                continue
-            self._node.get_logger().info(f"packing the incident of {fault}: {file}")
-            while process.poll() is None:
-                yield
-            if process.returncode:
-                self._node.get_logger().warning(f"the incident was not packed: exit code {process.returncode}")
-            else:
-                self._keep_newest(file)
+            for bag, (when, fault) in list(self.due.items()):
+                if time.monotonic() >= when:
+                    del self.due[bag]
+                    self._packing = self._pack(bag, fault)
+                    yield from self._packing
+
+    def _pack(self, bag: Path, fault: str) -> Iterator[None]:
+        if bag == self._recording():  # else that bag is finished
+            yield from self._save()
+        folder = bag.absolute().with_name(f"{bag.absolute().name}_incidents")
+        file = folder / f"{datetime.now():%Y_%m_%d-%H_%M_%S}_{fault}.zip"
+        words = [*_IDLE, *verb_command("incident", str(bag), "--last", str(LAST_S), "-o", str(file))]
+        try:
+            folder.mkdir(exist_ok=True)
+            # In a session of its own: Ctrl-C in the terminal ends the nodes, not this.
+            process = subprocess.Popen(
+                words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            )
+        except OSError as error:
+            self._node.get_logger().warning(f"the incident of {fault} was not packed: {error}")
+            return
+        self._node.get_logger().info(f"packing the incident of {fault}: {file}")
+        while process.poll() is None:
+            yield
+        if process.returncode:
+            self._node.get_logger().warning(f"the incident was not packed: exit code {process.returncode}")
+        else:
+            self._keep_newest(file)
 
     def _keep_newest(self, file: Path) -> None:
         try:
@@ -206,9 +223,7 @@ class LoggerComponent:
 
         def stop() -> str:
             """Finish the bag."""
-            if self._incidents and self._incidents.due:
-                recorder.intake.snapshot()  # what is in memory only would be lost to the incident
-            recorder.stop()
+            self._finish()
             return f"{recorder.written} messages are in {recorder.folder}"
 
         def pause() -> str:
@@ -255,6 +270,11 @@ class LoggerComponent:
         folder = self._recorder.start()
         self._others.repeat(self._recorder.intake.add)
         return f"recording to {folder}"
+
+    def _finish(self) -> None:
+        if self._incidents and self._recorder.folder in self._incidents.due:
+            self._recorder.intake.snapshot()  # what is in memory only would be lost to the incident
+        self._recorder.stop()
 
     def _fetch(self) -> None:
         self._note_time()
@@ -344,8 +364,10 @@ class LoggerComponent:
         return counters
 
     def close(self) -> None:
-        """Write the messages that have arrived, attach the parameters, finish the bag."""
-        self._recorder.stop()
+        """Write the messages that have arrived, attach the parameters, finish the bag, pack the incidents that wait."""
+        self._finish()
+        if self._incidents:
+            self._incidents.close()
 
 
 def chosen_topics(text: str) -> frozenset[str]:
