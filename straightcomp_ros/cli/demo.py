@@ -84,7 +84,8 @@ def run(options: argparse.Namespace) -> None:
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     picture = output / "run.png"
-    names, reads = ("bag", "logs", "parameters.yaml", picture.name), named_files(options, "--output")
+    names = "bag", "bag_incidents", "logs", "parameters.yaml", picture.name
+    reads = named_files(options, "--output")
     made = making(output, names, reads=reads, force=options.force)
     environment = isolated_environment()
     domain = environment["ROS_DOMAIN_ID"]

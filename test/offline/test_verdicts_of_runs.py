@@ -413,6 +413,16 @@ def test_an_interrupted_demonstration_says_where_its_recording_is(tmp_path, verb
     assert (tmp_path / "unfinished" / "bag").is_dir()
 
 
+def test_a_demonstration_keeps_the_incidents_that_its_logger_packed(harmless, tmp_path, verb, monkeypatch):
+    def demonstrate(values, place, *_, **__):
+        (place / "bag_incidents").mkdir()
+        return demonstration(harmless)
+
+    monkeypatch.setattr(demo, "demonstrate", demonstrate)
+    assert verb("demo", "-o", tmp_path).code == 0
+    assert (tmp_path / "bag_incidents").is_dir()
+
+
 def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_to(spoilt, harmless, demonstrated):
     held = HeldUp(scheduling="FIFO 40")
     priority = dict.fromkeys(("driver", "feedforward", "controller"), replace(summarise([]), held_up=held))
