@@ -233,7 +233,12 @@ class CellSequence:
             return reason
         if command is Command.START:
             self.movements.begin(strokes)
+        recovering = self._recovering
         self._enter(ACCEPTED[command][self.state], f"command {name(command)}")
+        if recovering and command is Command.HOLD:
+            # The stage goes on during a recovery: it is held at once, and the recovery goes on.
+            self.machine.request("driver/hold", True)
+            self._recovering, self._work = True, self._recover(self._work)
         return ""
 
     def order(self, order: Order, argument: int, then: Answer) -> None:

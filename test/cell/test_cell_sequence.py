@@ -652,6 +652,27 @@ def test_to_the_reason_of_an_abort_a_node_that_turns_out_dead_is_added_once_and_
     assert bench.sequence.message.count("controller (silent)") == 1
 
 
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_hold_during_a_recovery_brings_the_stage_to_rest_at_once_and_the_cycle_goes_on_if_the_fault_ends(ends):
+    bench = started(1, as_one=True, recoveries=1)
+    bench.ticks(12)
+    bench.obeys = False
+    bench.see(faults=COIL, amplifier_on=False)
+    bench.tick()
+    assert not bench.sequence.command(Command.HOLD)
+    bench.ticks(20)
+    assert bench.seen.stage.condition == "held" and 0.005 < (x := bench.seen.x) < 0.095
+    bench.obeys = ends
+    if not ends:
+        bench.until(State.ABORTED)
+        assert bench.sequence.message == "the fault remains: driver: coil burnt" and bench.motion.over
+        return
+    bench.until(State.HELD)
+    assert bench.seen.amplifier_on and bench.seen.x == x
+    bench.give(Command.UNHOLD, State.COMPLETE)
+    assert len(bench.moves) == 1
+
+
 @pytest.mark.parametrize(
     ("then", "within", "words"),
     [
