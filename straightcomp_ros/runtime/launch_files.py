@@ -18,7 +18,6 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import EnvironmentVariable, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from straightcomp_ros.parameters.declaration import ParameterError
@@ -80,14 +79,11 @@ def launched(
     def actions(context: LaunchContext) -> list[object]:
         if any(_is_true(context, argument) is not wanted for argument, wanted in (only_if or {}).items()):
             return []
-        parameters = {
-            parameter: ParameterValue(value, value_type=type(value))
-            for parameter, value in _given(context, name, overrides).items()
-        }
+        given = _given(context, name, overrides)
         if runs_cycle and not _is_true(context, "record"):
-            parameters["nodes"] = ParameterValue("driver feedforward controller", value_type=str)
-        at_end = EmitEvent(event=Shutdown(reason=f"the {name} has ended")) if runs_cycle else None
-        return _started(context, f"{name}_node", [parameters] if parameters else [], at_end, name=name)
+            given["nodes"] = "driver feedforward controller"
+        at_end = [EmitEvent(event=Shutdown(reason=f"the {name} has ended"))] if runs_cycle else []
+        return _started(context, f"{name}_node", {name: given}, at_end, name=name)
 
     return described(choices, overrides, [OpaqueFunction(function=actions)])
 
@@ -97,13 +93,7 @@ def launched_composed() -> LaunchDescription:
 
     def actions(context: LaunchContext) -> list[object]:
         given = {name: _given(context, name, overrides) for name, overrides in IN_THE_LOOP.items()}
-        # A parameter of the process would be one of all its nodes: only a file says which node it is for. rcl takes the
-        # last section, but lets those of one key be one at the place of the first: no other file has these keys.
-        sections = {f"{ALL_NODES}/**/{name}": {PARAMETERS: values} for name, values in given.items() if values}
-        with tempfile.NamedTemporaryFile("w", prefix="servo_", suffix=".yaml", delete=False) as file:
-            file.write(dump_yaml(sections))
-        remove = OpaqueFunction(function=lambda _: Path(file.name).unlink(missing_ok=True))
-        return _started(context, "servo_node", [file.name], remove)
+        return _started(context, "servo_node", given, [])
 
     return described({}, dict.fromkeys(sum(IN_THE_LOOP.values(), ())), [OpaqueFunction(function=actions)])
 
@@ -126,9 +116,23 @@ def described(choices: Mapping[str, str], overrides: Iterable[str], actions: Ite
 
 
 def _started(
-    context: LaunchContext, executable: str, parameters: Iterable[object], at_end: object | None, **name: str
+    context: LaunchContext,
+    executable: str,
+    given: Mapping[str, Mapping[str, object]],
+    at_end: list[object],
+    **name: str,
 ) -> list[RegisterEventHandler | Node]:
-    """Start a process with these ``parameters`` beyond the files; ``at_end`` is done when it has ended."""
+    """Start a process with the parameters ``given`` of each of its nodes beyond the files; ``at_end`` is done when it
+    has ended."""
+    # rcl takes the last section, but lets those of one key be one at the place of the first: no other file has these
+    # keys, of which each is of one node of the process.
+    sections = {f"{ALL_NODES}/**/{node}": {PARAMETERS: values} for node, values in given.items() if values}
+    parameters = []
+    if sections:
+        with tempfile.NamedTemporaryFile("w", prefix="straightcomp_", suffix=".yaml", delete=False) as file:
+            file.write(dump_yaml(sections))
+        parameters = [file.name]
+        at_end = [OpaqueFunction(function=lambda _: Path(file.name).unlink(missing_ok=True)), *at_end]
     node = Node(
         package=PACKAGE,
         executable=executable,
@@ -138,7 +142,7 @@ def _started(
         **name,
     )
     # Register the handler before the node starts: a wrong parameter ends the node at once.
-    return [*([RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[at_end]))] if at_end else []), node]
+    return [*([RegisterEventHandler(OnProcessExit(target_action=node, on_exit=at_end))] if at_end else []), node]
 
 
 def _stage_files(context: LaunchContext) -> list[LaunchConfiguration | PathJoinSubstitution]:

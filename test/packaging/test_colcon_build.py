@@ -83,7 +83,7 @@ from unittest.mock import MagicMock
 folders = "actions conditions event_handlers events launch_description_sources substitutions".split()
 for name in ("launch", *(f"launch.{name}" for name in folders)):
     sys.modules[name] = MagicMock()
-for name in ("", ".actions", ".parameter_descriptions", ".substitutions"):
+for name in ("", ".actions", ".substitutions"):
     sys.modules[f"launch_ros{name}"] = MagicMock()
 for path in sys.argv[1:]:
     runpy.run_path(path)["generate_launch_description"]()

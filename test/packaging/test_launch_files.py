@@ -34,7 +34,6 @@ KNOWN = {
     "launch.substitutions": "EnvironmentVariable LaunchConfiguration PathJoinSubstitution",
     "launch_ros": "",
     "launch_ros.actions": "Node",
-    "launch_ros.parameter_descriptions": "ParameterValue",
     "launch_ros.substitutions": "FindPackageShare",
 }
 STARTING = ("Node", "IncludeLaunchDescription", "OpaqueFunction")
@@ -109,6 +108,12 @@ def configurations(value):
     return set().union(*map(configurations, value)) if isinstance(value, list | tuple) else set()
 
 
+def given(node):
+    """Parameters of a node beyond the files of the user."""
+    last = node.kwargs["parameters"][-1]
+    return {} if isinstance(last, Recorded) else dict(next(iter(node_sections(Path(last))))[1])
+
+
 def named(nodes):
     return [node.kwargs["executable"].removesuffix("_node") for node in nodes]
 
@@ -150,18 +155,15 @@ def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_th
     *_, last = nodes = [entity for entity in found if kind(entity) == "Node"]
     assert named(nodes) == [*others, "opcua" if opcua == "true" else "cell"]
     assert all(configurations(node.kwargs["namespace"]) == {"namespace"} for node in nodes)
-    file, stage, *chosen = last.kwargs["parameters"]
+    file, stage, _ = last.kwargs["parameters"]
     assert configurations(file) == {"params_file"} and stage.perform({}) == SHIPPED_STAGE
-    waited = [given["nodes"].args for given in chosen if "nodes" in given]
-    assert waited == ([] if record == "true" else [(" ".join(others),)])
-    for node in nodes:
-        given = node.kwargs["parameters"][-1]["realtime.priority"]
-        assert (given.args, given.kwargs) == ((20,), {"value_type": int})
+    assert given(last).get("nodes") == (None if record == "true" else " ".join(others))
+    assert [given(node)["realtime.priority"] for node in nodes] == [20] * len(nodes)
     # The whole launch ends when the last has ended; who watches for that is there before it starts.
-    [handler] = [entity for entity in found if kind(entity) == "RegisterEventHandler"]
+    *_, handler = [entity for entity in found if kind(entity) == "RegisterEventHandler"]
     [on_exit] = handler.args
     assert kind(on_exit) == "OnProcessExit" and on_exit.kwargs["target_action"] is last
-    assert [kind(action.kwargs["event"]) for action in on_exit.kwargs["on_exit"]] == ["Shutdown"]
+    assert kind(on_exit.kwargs["on_exit"][-1].kwargs["event"]) == "Shutdown"
     assert found.index(handler) < found.index(last)
 
 
@@ -196,12 +198,10 @@ def test_an_argument_overrides_its_parameter_only_when_it_is_given(case):
 
     def overrides(**arguments):
         nodes = of_kind("Node", CELL, use_opcua="true" if node == "opcua" else "false", **arguments)
-        return nodes[named(nodes).index(node)].kwargs["parameters"][2:]
+        return given(nodes[named(nodes).index(node)])
 
-    assert overrides() == []
-    [given] = overrides(**{argument: "2024"})
-    assert list(given) == [parameter]
-    assert (given[parameter].args, given[parameter].kwargs) == (("2024",), {"value_type": str})
+    assert overrides() == {}
+    assert overrides(**{argument: "2024"}) == {parameter: "2024"}
     assert parameter in {declaration.name for declaration in declarations(NODE_PARAMETERS[node])}
 
 
@@ -218,8 +218,7 @@ def stage(tmp_path):
 def test_a_survey_next_to_the_description_is_found_wherever_the_launch_is_started(stage, namespace, argument):
     stage.write_text(stage.read_text().replace("/**", f"{namespace}/**"))
     for node in of_kind("Node", CELL, **{argument: str(stage)}, namespace=namespace):
-        [*_, given] = node.kwargs["parameters"]
-        assert given["stage.guide.file"].args == (str(stage.with_name("guide.csv")),)
+        assert given(node)["stage.guide.file"] == str(stage.with_name("guide.csv"))
 
 
 @pytest.mark.parametrize("beside", [True, False])
@@ -232,10 +231,9 @@ def test_a_node_s_own_survey_takes_precedence_over_that_of_all_wherever_it_is(st
     section = "{ros__parameters: {stage.guide.file: own.csv}}"
     stage.write_text(f"{{{stage.read_text()}, feedforward: {section}}}")
     nodes = of_kind("Node", CELL, stage=str(stage))
-    parameters = nodes[named(nodes).index("feedforward")].kwargs["parameters"]
-    given = [one["stage.guide.file"].args for one in parameters if isinstance(one, dict)]
+    found = given(nodes[named(nodes).index("feedforward")])
     # The node finds what is in the working directory by itself.
-    assert given == [(str(own),)] * beside
+    assert found == ({"stage.guide.file": str(own)} if beside else {})
 
 
 @pytest.mark.parametrize("composed", ["true", "false"])
@@ -275,23 +273,24 @@ def test_of_several_surveys_of_both_files_a_node_is_given_that_which_it_takes(st
     params_file.write_text(f"{{{own.replace('SURVEY', 'ros__parameters: {stage.guide.file: other.csv}')}}}")
     file = str(params_file) if own else SHIPPED
     nodes = of_kind("Node", CELL, params_file=file, stage=str(stage))
-    parameters = nodes[named(nodes).index("feedforward")].kwargs["parameters"]
+    found = given(nodes[named(nodes).index("feedforward")])
     assert taken("/feedforward", [file, str(stage)])["stage.guide.file"] == expected
     # A survey of the parameter file is not looked for in the stage file's folder.
-    given = [one["stage.guide.file"].args for one in parameters if isinstance(one, dict)]
-    assert given == [(str(stage.with_name(expected)),)] * (expected != "other.csv")
+    assert found == ({} if expected == "other.csv" else {"stage.guide.file": str(stage.with_name(expected))})
 
 
+@pytest.mark.parametrize("composed", ["true", "false"])
 @pytest.mark.parametrize("params_file", [SHIPPED, "own.yaml"])
 @pytest.mark.parametrize("namespace", ["", "left"])
-def test_a_composed_cell_takes_its_overrides_after_all_sections_of_the_files(stage, namespace, params_file):
-    own = stage.with_name("own.yaml")
-    own.write_text(f"{{/**: {{ros__parameters: {{stage.rate: 500}}}}, {namespace}/driver: {{ros__parameters: {{}}}}}}")
+def test_a_cell_takes_its_overrides_after_all_sections_of_the_files(stage, namespace, params_file, composed):
+    own, full = stage.with_name("own.yaml"), f"/{namespace}" if namespace else ""
+    sections = [f"{full}/{node}: {{ros__parameters: {{}}}}" for node in ("driver", "feedforward", "controller")]
+    law = "/**: {ros__parameters: {control.law: linear}}"
+    own.write_text(f"{{{', '.join([*sections, law])}}}")
     file = params_file if params_file == SHIPPED else str(own)
-    given = {"params_file": file, "stage": str(stage), "map": "other.csv", "namespace": namespace, "law": "smc"}
-    [servo, *_] = of_kind("Node", CELL, **given, composed="true")
-    files = [file, str(stage), servo.kwargs["parameters"][-1]]
-    full = f"/{namespace}" if namespace else ""
+    arguments = {"params_file": file, "stage": str(stage), "map": "other.csv", "namespace": namespace, "law": "smc"}
+    loop = of_kind("Node", CELL, **arguments, composed=composed)[: 1 if composed == "true" else 3]
+    files = [file, str(stage), *(node.kwargs["parameters"][-1] for node in loop)]
     survey = str(stage.with_name("guide.csv"))
     for node, expected in (("driver", survey), ("feedforward", "other.csv"), ("controller", survey)):
         assert taken(f"{full}/{node}", files)["stage.guide.file"] == expected
