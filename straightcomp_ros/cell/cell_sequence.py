@@ -15,7 +15,7 @@ from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import ACCEPTED, DONE, FAILED, Command, Order, State, name, refusal
 from straightcomp_ros.messages.joint_trajectory import MOST_POINTS
 from straightcomp_ros.model.motion import MotionParameters, Waypoint, cycles, forward_and_back, goals, jog, move
-from straightcomp_ros.model.paced_motion import AT_START_M
+from straightcomp_ros.model.paced_motion import ARRIVED_M, AT_START_M
 from straightcomp_ros.parameters.declaration import ParameterError
 
 MOST_STROKES = 1_000_000
@@ -38,8 +38,6 @@ _OFF_WITHIN_S = 2.0
 _REPORTED_WITHIN_S = 1.5
 """Within this time the diagnostics show what nodes do: a new fault, that a fault is gone, another description."""
 _ARRIVE_WITHIN_S = 5.0
-_ARRIVED_M = 10e-6
-"""From the goal, besides the half count by which a reading of x is off."""
 _POINTS_TO_START = 8
 """Most points of the way to the start of a trajectory: of a move with a limit of the jerk."""
 _FARTHEST_JOG_UM = 20_000_000
@@ -89,7 +87,7 @@ class StageMovements:
 
     def __init__(self, motion: MotionParameters, as_one: bool, count: float = 0.0) -> None:
         self._motion, self.as_one, self._goals = motion, as_one, goals(motion)
-        self._near = _ARRIVED_M + 0.5 * count
+        self._near = ARRIVED_M + 0.5 * count
         self._begin_ns = self._duration_ns = self._stands_ns = self._before = 0
         self._goal = self._begun_by = 0.0
         self._own: int | None = None

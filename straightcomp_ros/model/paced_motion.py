@@ -28,6 +28,8 @@ _SAME_SPEED = 1e-6
 """Difference in m/s that no step of the acceleration shows: of 2 mm/s² within a sample."""
 AT_START_M = 1e-6
 """From the stage, or from a reading of x, which is half a count off: so far a trajectory may begin from it."""
+ARRIVED_M = 10e-6
+"""From its goal, besides the half count by which a reading of x is off: so far from it a stage has arrived."""
 _KNOTS = 32
 """Of the way to a trajectory that begins later: between them the quintic is followed by cubics."""
 _RESERVE = 0.5

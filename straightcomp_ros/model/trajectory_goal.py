@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from straightcomp_ros.model.motion import Trajectory
-from straightcomp_ros.model.paced_motion import PacedMotion
+from straightcomp_ros.model.paced_motion import ARRIVED_M, PacedMotion
 
 SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP = 0, -1, -2, -3
 PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = -4, -5
@@ -41,7 +41,7 @@ class Tolerances:
     defaults of the end are the cell's."""
 
     path: float = math.inf
-    goal: float = 10e-6
+    goal: float = ARRIVED_M
     time: float = 5.0
 
     @classmethod

@@ -26,7 +26,7 @@ from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, Grap
 from straightcomp_ros.control.excitation import ExcitationEnded, ExcitationParameters, MultisineParameters
 from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.model.motion import MotionParameters, forward_and_back, jog
-from straightcomp_ros.model.paced_motion import AT_START_M
+from straightcomp_ros.model.paced_motion import ARRIVED_M, AT_START_M
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.declaration import belongs_to_ros, to_mapping, under
 from straightcomp_ros.parameters.node_parameters import STAGE, Values, node_parameters
@@ -57,8 +57,6 @@ _AFTER_S = 0.3
 _LATE_S = 5.0
 _REPORTED_S = 5.0
 """s after a request in which a report may still be of before it: nodes report once a second."""
-_ARRIVED = 1e-5
-"""m from the start, besides the half count by which a reading of x is off."""
 _SEEN_NS = 500_000_000
 """A stage that is away for longer is seen there: the client's observation is 50 ms old, or more on a slow host."""
 
@@ -75,7 +73,7 @@ class RunningMachine:
         self._client, self._values, self._folder = client, values, folder
         self._logger = {name: logger[name] for name in _RECORDING}
         self._travel = values["driver"][_TRAVEL]
-        self._near = _ARRIVED + 0.5 * node_parameters("driver", values).stage.encoder.x_resolution
+        self._near = ARRIVED_M + 0.5 * node_parameters("driver", values).stage.encoder.x_resolution
         self.simulated = is_simulated(values["driver"])
         self._given: dict[str, dict[str, Any]] = {}
         if client.safety.amplifier_on:
