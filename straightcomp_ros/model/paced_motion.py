@@ -67,10 +67,11 @@ class PacedMotion:
         cut: whether the present motion is cut short.
         number: motions begun.
         ended: whether the last one was ended on its way.
+        half_count: so far in m a reading of x is off.
     """
 
     def __init__(self, motion: MotionParameters, x: float = 0.0, count: float = 0.0) -> None:
-        self._near = AT_START_M + 0.5 * count
+        self.half_count = 0.5 * count
         self._acceleration = motion.acceleration
         self._build = motion.acceleration / motion.jerk if motion.jerk else _BUILD_S
         self._set(Pace())
@@ -108,7 +109,7 @@ class PacedMotion:
         """
         trajectory, here = self.joined(trajectory, start_ns), self.position(start_ns)
         first = trajectory.position(0)
-        if abs(first - here) > self._near:
+        if abs(first - here) > AT_START_M + self.half_count:
             raise ValueError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
         moving, speed = self.moving, trajectory.rates(0)[0]
         if abs(speed - self._velocity) > _SAME_SPEED:

@@ -122,7 +122,7 @@ class TrajectoryGoal:
             return Outcome("canceled", SUCCESSFUL, f"canceled: {where}")
         if motion.ended and abs(desired - self._end) > min(self._tolerances.goal, Tolerances.goal):
             return Outcome("abort", INVALID_GOAL, f"the motion was ended on its way: {where}")
-        if abs(x - self._end) <= self._tolerances.goal:
+        if abs(x - self._end) <= self._tolerances.goal + motion.half_count:
             return Outcome("succeed", SUCCESSFUL, where)
         self._over_ns = self._over_ns or now_ns
         if now_ns - self._over_ns <= self._tolerances.time * 1e9:

@@ -268,6 +268,15 @@ def test_another_motion_takes_the_place_of_a_goal():
     assert "another motion" in outcome.text and not outcome.end
 
 
+@pytest.mark.parametrize(("x", "how"), [(0.050049, "succeed"), (0.050061, "abort")])
+def test_a_goal_between_two_counts_is_reached_where_the_reading_is_half_a_count_off(x, how):
+    motion, trajectory = PacedMotion(MotionParameters(), count=1e-4), Trajectory(jog(MotionParameters(), 0.0, 0.05))
+    motion.begin(trajectory, 0)
+    goal = TrajectoryGoal(trajectory, Tolerances(time=0.0), motion, "")
+    outcomes = [goal.look(at_ns, x, 0.05, motion, True, "") for at_ns in (10**10, 10**10 + 1)]
+    assert next(filter(None, outcomes)).how == how
+
+
 def test_zero_is_the_default_of_a_tolerance_and_a_negative_one_is_none():
     assert Tolerances.of(request(path=[tolerance()], goal=[tolerance()]), "stage_x") == Tolerances()
     asked = request(path=[tolerance(position=1e-3)], goal=[tolerance(position=-1.0)], time=2.5)
