@@ -134,7 +134,7 @@ def recorded(
         ParameterError, SurveyError: a parameter, or the map's survey file, is refused.
     """
     bag, logs, parameter_file = output / "bag", output / "logs", output / "parameters.yaml"
-    duration, _ = _cycle(values, opcua_strokes)
+    duration, _ = planned(values, opcua_strokes)
     output.mkdir(parents=True, exist_ok=True)
     environment, programs = dict(environment or isolated_environment()), emulated_machine(values, parameter_file)
     client = None
@@ -170,7 +170,7 @@ def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequen
         DemonstrationFailed: the bag cannot be read, or is short.
     """
     bag, motion = output / "bag", node_parameters("cell", values).stage.motion
-    duration, straightness = _cycle(values, opcua_strokes)
+    duration, straightness = planned(values, opcua_strokes)
     try:
         evaluation = evaluate_bag(bag)
         record = evaluation.record
@@ -191,8 +191,8 @@ def judged(values: Values, output: Path, opcua_strokes: int = 0, unclean: Sequen
     return Demonstration(bag, evaluation, straightness, metrics, run.undisturbed, timing, verdict, unclean)
 
 
-def _cycle(values: Values, opcua_strokes: int) -> tuple[float, StraightnessMap]:
-    """Duration of the cycle in s, and the map."""
+def planned(values: Values, opcua_strokes: int) -> tuple[float, StraightnessMap]:
+    """Duration of the cycle in s, and the map. Raises as :func:`recorded` for what it refuses."""
     cell = node_parameters("cell", values)
     if not opcua_strokes:
         check_strokes(cell.stage.motion, cell.strokes)

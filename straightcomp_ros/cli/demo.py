@@ -20,7 +20,7 @@ from typing import Any
 
 from straightcomp_ros.analysis.judgement import STARVED
 from straightcomp_ros.analysis.pictures import plot_run
-from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed, demonstrate, on_hub
+from straightcomp_ros.cell.demonstration import Demonstration, DemonstrationFailed, demonstrate, on_hub, planned
 from straightcomp_ros.cell.launcher import isolated_environment
 from straightcomp_ros.cli.options import (
     add_force,
@@ -80,6 +80,12 @@ def run(options: argparse.Namespace) -> None:
         _in_lockstep(values)
     if options.strokes is not None:
         values["cell"]["strokes"] = options.strokes
+    if options.hardware:
+        values["driver"]["hardware"] = options.hardware
+    opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
+    # What is refused removes no recording of an earlier run.
+    node_parameters("driver", values)
+    planned(values, opcua_strokes)
     output = output_folder("--output", options.output)
     if options.keep:
         output /= datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
@@ -94,9 +100,6 @@ def run(options: argparse.Namespace) -> None:
     with made as place, tempfile.TemporaryDirectory() as folder, working("stage moves") as advance:
         if options.hardware == "can":
             values["driver"].update(on_hub(values, str(Path(folder) / "bus")))
-        elif options.hardware:
-            values["driver"]["hardware"] = options.hardware
-        opcua_strokes = values["cell"].get("strokes", 1) if options.opcua else 0
         run_it = partial(
             demonstrate,
             values,

@@ -411,6 +411,10 @@ def test_an_interrupted_demonstration_says_where_its_recording_is(tmp_path, verb
     found = verb("demo", "-o", tmp_path)
     assert found.code == 130 and str(tmp_path / "unfinished") in found.err
     assert (tmp_path / "unfinished" / "bag").is_dir()
+    # A run that is refused is no next run.
+    for words in (["--hardware", "can", "--lockstep"], ["--set", "stage.guide.file=/nowhere.csv"]):
+        assert verb("demo", "-o", tmp_path, *words).code == 2
+        assert (tmp_path / "unfinished" / "bag").is_dir()
 
 
 def test_a_demonstration_keeps_the_incidents_that_its_logger_packed(harmless, tmp_path, verb, monkeypatch):
