@@ -262,11 +262,16 @@ def clear(folder: Path, *, made: bool) -> None:
 
 
 def _files(path: Path) -> dict[str, list[int]]:
-    """Size and time of the last change of each file under ``path``, by its name there; links are not followed."""
+    """Size and time of the last change of each file under ``path``, by its name there; links are not followed. Without
+    the incidents of the logger, which may be packed after the end of the run that is marked."""
     inside = path.is_dir() and not path.is_symlink()
     paths = sorted(one for one in path.rglob("*") if one.is_symlink() or not one.is_dir()) if inside else [path]
     stats = ((one, one.lstat()) for one in paths)
-    return {str(one.relative_to(path)): [stat.st_size, stat.st_mtime_ns] for one, stat in stats}
+    return {
+        str(one.relative_to(path)): [stat.st_size, stat.st_mtime_ns]
+        for one, stat in stats
+        if not one.match("*_incidents/????_??_??-??_??_??_*.zip")
+    }
 
 
 def _marked(folder: Path) -> dict[str, Any]:

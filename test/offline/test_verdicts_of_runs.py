@@ -427,6 +427,20 @@ def test_a_demonstration_keeps_the_incidents_that_its_logger_packed(harmless, tm
     assert (tmp_path / "bag_incidents").is_dir()
 
 
+def test_an_incident_packed_after_the_end_of_a_demonstration_does_not_refuse_the_next(tmp_path, verb, monkeypatch):
+    def demonstrate(values, place, *_, **__):
+        (place / "bag_incidents").mkdir()
+        raise DemonstrationFailed("cell: amplifier off", "")
+
+    monkeypatch.setattr(demo, "demonstrate", demonstrate)
+    for _ in range(2):
+        found = verb("demo", "--strict", "-o", tmp_path)
+        assert found.code == 1 and "amplifier off" in found.err
+        (tmp_path / "unfinished" / "bag_incidents" / "2026_11_30-07_42_38_tripped.zip").touch()
+    (tmp_path / "unfinished" / "bag_incidents" / "mine.zip").touch()
+    assert verb("demo", "--strict", "-o", tmp_path).code == 2
+
+
 def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_to(spoilt, harmless, demonstrated):
     held = HeldUp(scheduling="FIFO 40")
     priority = dict.fromkeys(("driver", "feedforward", "controller"), replace(summarise([]), held_up=held))
