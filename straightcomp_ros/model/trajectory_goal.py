@@ -122,10 +122,11 @@ class TrajectoryGoal:
             return Outcome("canceled", SUCCESSFUL, f"canceled: {where}")
         if motion.ended and abs(desired - self._end) > min(self._tolerances.goal, Tolerances.goal):
             return Outcome("abort", INVALID_GOAL, f"the motion was ended on its way: {where}")
-        if abs(x - self._end) <= self._tolerances.goal + motion.half_count:
+        allowed_m = self._tolerances.goal + motion.half_count
+        if abs(x - self._end) <= allowed_m:
             return Outcome("succeed", SUCCESSFUL, where)
         self._over_ns = self._over_ns or now_ns
         if now_ns - self._over_ns <= self._tolerances.time * 1e9:
             return None
         off = f"{where}, {(x - self._end) * 1e6:+.1f} µm from its goal"
-        return Outcome("abort", GOAL_TOLERANCE_VIOLATED, f"{off}; allowed: ±{self._tolerances.goal * 1e6:g} µm")
+        return Outcome("abort", GOAL_TOLERANCE_VIOLATED, f"{off}; allowed: ±{allowed_m * 1e6:g} µm")
