@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.survey_table import (
     DEVIATION,
-    DIRECTIONS,
     MARK,
     RUN_COLUMN,
+    WAYS_IN_CELLS,
     Direction,
     SurveyError,
     X,
@@ -113,11 +113,12 @@ def _survey_of(
     groups: Groups = {}
     for line, cells, x, deviation in table.rows:
         word = cells.get("direction", "").lower()
-        if "direction" in cells and word not in DIRECTIONS:
+        if "direction" in cells and word not in WAYS_IN_CELLS:
             raise SurveyError(
-                f"survey {path}, line {line}: direction {word!r}; allowed: forward or backward, fwd or bwd, reverse"
+                f"survey {path}, line {line}: direction {word!r}; allowed: forward or backward, fwd or bwd, reverse, f "
+                "or b, r, + or -, 1 or -1"
             )
-        direction = DIRECTIONS.get(word)
+        direction = WAYS_IN_CELLS.get(word)
         key = (cells.get("run", cells.get(RUN_COLUMN, "1")), direction)
         groups.setdefault(key, []).append((line, x, deviation))
     if not groups:

@@ -127,6 +127,12 @@ DIRECTIONS: dict[str, Direction] = {
     **dict.fromkeys(["forward", "fwd"], "forward"),
     **dict.fromkeys(["backward", "bwd", "reverse"], "backward"),
 }
+WAYS_IN_CELLS: dict[str, Direction] = {
+    **DIRECTIONS,
+    **dict.fromkeys(["f", "+", "1", "+1"], "forward"),
+    **dict.fromkeys(["b", "r", "-", "\u2212", "-1", "\u22121"], "backward"),
+}
+"""What a cell of the column of directions may say too."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
 _UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
@@ -225,6 +231,8 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         if x not in own.values():
             _check_other_x(header_line, header, header.index(x), runs, rows)
         header, rows = _a_row_for_each(runs, header, rows)
+    # A recording over time may have a sign of the speed in each row.
+    header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header, rows)
     numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
         for column in numbers:
@@ -437,6 +445,16 @@ def _a_row_for_each(
     ]
     unit, way = next(iter(runs.values()))
     return [*(header[at] for at in shared), RUN_COLUMN, "direction" if way else "", unit], found
+
+
+def _with_direction(header: list[str], rows: Sequence[tuple[str, int, list[str]]]) -> list[str]:
+    """The header with the name ``direction`` for the first column that has a direction in each row, and both in all:
+    runs that are all listed by rising x would else be taken for runs of one direction."""
+    for at, name in enumerate(header):
+        ways = WAYS_IN_CELLS if name.startswith("dir") else DIRECTIONS
+        if {ways.get(row[at].strip().lower()) for *_, row in rows} == {*WAYS}:
+            return [*header[:at], "direction", *header[at + 1 :]]
+    return header
 
 
 def _spelled(name: str) -> str:

@@ -224,6 +224,12 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
         # A named cycle goes both ways.
         ("run,", [("7,", OUT), ("7,", BACK), ("3,", OUT), ("3,", BACK)], [(n, w) for n in "73" for _, w in WAYS[:2]]),
         ("direction,", [("fwd,", OUT), ("BWD,", BACK)] * 2, WAYS[::2] + WAYS[1::2]),
+        ("direction,", [("+,", OUT), ("\u2212,", BACK)], WAYS[:2]),
+        # Sorted by x, the column alone says the direction.
+        *((f"{one},", [("F,", OUT), ("R,", OUT)] * 2, WAYS[::2] + WAYS[1::2]) for one in ("Dir", "Direction of x")),
+        ("dir,", [("1,", OUT), ("-1,", OUT)], WAYS[:2]),
+        ("Approach,", [("forward,", OUT), ("reverse,", OUT)], WAYS[:2]),
+        ("Passed,", [("+,", OUT), ("-,", BACK), ("+,", OUT)], [*WAYS[:2], WAYS[2]]),
     ],
 )
 def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, header, passages, expected):
