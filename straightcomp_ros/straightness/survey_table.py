@@ -135,6 +135,9 @@ WAYS_IN_CELLS: dict[str, Direction] = {
 """What a cell of the column of directions may say too."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
+_BRACKETED = rf"[\[(]\s*(?:{'|'.join(PER_METRE)})\s*[\])]"
+_UNIT_WITHIN = re.compile(rf"(.*?)\s*({_BRACKETED})(?!.*{_BRACKETED})\s*(.*\S)")
+"""A name with words behind its unit, as ``Run 1 [um] forward``."""
 _UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
 """What stands in place of a unit: ``[]``, ``(-)``, ``[microns]``."""
 _COMPUTED = {
@@ -465,11 +468,13 @@ def _spelled(name: str) -> str:
 
 
 def _plain(cell: str) -> str:
-    """In lower case, with either micro sign as ``u``, and inches as ``in``; what is too long for a name ends with …"""
+    """In lower case, with either micro sign as ``u``, inches as ``in``, and a unit in brackets last; what is too long
+    for a name ends with …"""
     text = cell.strip().lower()
     text = text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}…"
     text = text.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u2212", "-")
-    return _INCH.sub(lambda found: "uin" if found[1] else "in", text)
+    text = _INCH.sub(lambda found: "uin" if found[1] else "in", text)
+    return _UNIT_WITHIN.sub(r"\1 \3 \2", text).strip()
 
 
 def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int], delimiter: str) -> None:

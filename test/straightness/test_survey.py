@@ -129,6 +129,7 @@ TURNS = THERE + THERE[-2::-1]
             (f"x_mm,Run 1 (µm),{beside} (µm)", THREE, f"line·1 column·'{beside.lower().replace(' ', '·')} may·be·a·run")
             for beside in ("Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again")
         ),
+        ("x_mm,Run 1 (µm),Run 2 (µm) repeated", THREE, "line·1 may·be·a·run"),
         ("x_mm,Run 1 [µm],Run 2", THREE, "line·1 column·'run·2' may·be·a·run·and·has·no·unit"),
         ("x_mm,Forward [µm],Backward", THREE, "line·1 column·'backward' may·be·a·run·and·has·no·unit"),
         ("Position,1+,1-\nmm,µm,", THREE, "line·2 column·'1-' may·be·a·run·and·has·no·unit"),
@@ -250,6 +251,8 @@ def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, 
         ("x_mm,Run 1+ (\u00b5m),Run 1- (\u00b5m)", False, WAYS[:2]),
         ("Position,1+,1\u2212\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
         ("x_mm,1 forward (\u00b5m),1 reverse (\u00b5m)", False, WAYS[:2]),
+        ("x_mm,Straightness (\u00b5m) run 1,Straightness (\u00b5m) run 2", False, WAYS[::2]),
+        ("x_mm,Run 1 forward (\u00b5m),Run 1 [\u00b5m] backward", False, WAYS[:2]),
     ],
 )
 def test_each_run_may_have_a_column_of_its_own(read, header, back, expected):
