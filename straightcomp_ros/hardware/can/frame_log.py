@@ -166,8 +166,8 @@ class RecordedBus:
         number = 0
         try:
             with self._reader() as reader:
-                cut = _is_cut(self._file)
-                for message in _all_but_the_last(reader) if cut and self._file.suffix.lower() in _LINES else reader:
+                cut = _is_cut(self._file, self._ending)
+                for message in _all_but_the_last(reader) if cut and self._ending in _LINES else reader:
                     frame_of(message)  # raises for what is no frame: a time that is no number, an empty cell
                     number += 1
                     if self._ending in (".asc", ".blf") and isinstance(message.channel, int):
@@ -194,15 +194,18 @@ class RecordedBus:
             raise HardwareError(getattr(error, "strerror", None) or str(error)) from error
 
 
-def _is_cut(file: Path) -> bool:
+def _is_cut(file: Path, ending: str) -> bool:
     """Whether the end of a log is missing: that of its last line, of which a reader makes a shorter frame, or that of a
-    BLF file by its head or its last container, of which a reader says nothing."""
-    with file.open("rb") as opened:
-        size = opened.seek(0, os.SEEK_END)
-        if file.suffix.lower() in _LINES:
+    BLF file by its head or its last container, of which a reader says nothing, or that of what was compressed."""
+    with _opened(file, "rb") as opened:
+        try:
+            size = opened.seek(0, os.SEEK_END)
+        except _UNREADABLE:
+            return True
+        if ending in _LINES:
             opened.seek(max(0, size - 1))
             return opened.read() not in (b"", b"\n", b"\r")
-        if file.suffix.lower() != ".blf":
+        if ending != ".blf":
             return False
         opened.seek(0)
         place, end = struct.unpack("<4xL8xQ", opened.read(24))  # of a file that was never finished the end is not known
@@ -250,7 +253,8 @@ def _plain_asc(file: Path) -> TextIO:
     """
     plain = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115
     relative, begun, now = False, False, Decimal(0)
-    with _opened(file, "rb") as opened:
+    # What is left of a compressed log that was cut off is read, as of others.
+    with _opened(file, "rb") as opened, contextlib.suppress(*_UNREADABLE):
         for content in opened:
             line = decoded(content)
             relative = relative or re.match(r"\s*base\s+\w+\s+timestamps\s+relative", line, re.IGNORECASE) is not None

@@ -343,10 +343,10 @@ def test_a_log_may_begin_with_the_mark_of_utf_8(tmp_path, ending):
     assert len(list(RecordedBus(file))) == 10
 
 
-@pytest.mark.parametrize("ending", [".log", ".blf", ".asc", ".csv"])
+@pytest.mark.parametrize("ending", [".log", ".blf", ".asc", ".csv", ".log.gz", ".blf.gz", ".asc.gz"])
 def test_a_log_that_is_cut_off_anywhere_has_whole_frames_only_and_is_reported(tmp_path, ending):
-    file = tmp_path / f"bus{ending}"
-    with can.BLFWriter(file, max_container_size=600) if ending == ".blf" else can.Logger(file) as logger:
+    file, plain = tmp_path / f"bus{ending}", tmp_path / f"bus{ending.removesuffix('.gz')}"
+    with can.BLFWriter(plain, max_container_size=600) if ".blf" in ending else can.Logger(plain) as logger:
         for number in range(60):
             logger(message(number))
 
@@ -354,10 +354,17 @@ def test_a_log_that_is_cut_off_anywhere_has_whole_frames_only_and_is_reported(tm
         recorded = RecordedBus(file)
         return [bytes(frame.data) for frame in recorded], recorded.damage
 
-    (sent, damage), content = read(), file.read_bytes()
+    content = plain.read_bytes()
+    packed = gzip.compress if file != plain else bytes
+    file.write_bytes(packed(content))
+    sent, damage = read()
     assert len(sent) == 60 and not damage
+    if file != plain:
+        file.write_bytes(packed(content)[:-4])
+        found, damage = read()
+        assert len(found) >= 59 and found == sent[: len(found)] and damage
     for end in range(len(content) * 3 // 4, len(content) - 1, 11):
-        file.write_bytes(content[:end])
+        file.write_bytes(packed(content[:end]))
         found, damage = read()
         assert len(found) > 30 and found == sent[: len(found)]
         assert damage or content[end - 1] == ord("\n")
