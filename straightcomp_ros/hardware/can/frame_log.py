@@ -317,10 +317,11 @@ def play(frames: Iterable[can.Message], bus: can.BusABC, speed: float) -> int:
     Raises:
         can.CanError: the bus does not accept a frame.
     """
-    number, begin_s, first_s = 0, time.monotonic(), 0.0
+    number, begin_s, first_s = 0, 0.0, 0.0
     for number, frame in enumerate(frames, 1):
         if number == 1:
-            first_s = frame.timestamp
+            # Not before: the end of a large compressed log is found by seconds of reading.
+            begin_s, first_s = time.monotonic(), frame.timestamp
         due_s = begin_s + (frame.timestamp - first_s) / speed
         time.sleep(max(0.0, due_s - time.monotonic()))
         again = copy.copy(frame)
