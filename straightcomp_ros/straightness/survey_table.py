@@ -135,9 +135,11 @@ WAYS_IN_CELLS: dict[str, Direction] = {
 """What a cell of the column of directions may say too."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
-_BRACKETED = rf"[\[(]\s*(?:{'|'.join(PER_METRE)})\s*[\])]"
-_UNIT_WITHIN = re.compile(rf"(.*?)\s*({_BRACKETED})(?!.*{_BRACKETED})\s*(.*\S)")
-"""A name with words behind its unit, as ``Run 1 [um] forward``."""
+_BEHIND = "|".join([*DIRECTIONS, *_RUN_WORDS, "back", "forth", "return"])
+_UNIT_WITHIN = re.compile(
+    rf"(.*?)\s*([\[(]\s*(?:{'|'.join(PER_METRE)})\s*[\])])\s*(?=\S)([+-]?)((?:[\W\d_]|{_BEHIND})*)$"
+)
+"""A name with a direction or a number behind its unit, as ``Run 1 [um] forward``; ``Run 1 [um] smoothed`` is no run."""
 _UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
 """What stands in place of a unit: ``[]``, ``(-)``, ``[microns]``."""
 _COMPUTED = {
@@ -234,8 +236,6 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         if x not in own.values():
             _check_other_x(header_line, header, header.index(x), runs, rows)
         header, rows = _a_row_for_each(runs, header, rows)
-    # A recording over time may have a sign of the speed in each row.
-    header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header, rows)
     numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
     for _, _, row in rows:
         for column in numbers:
@@ -249,6 +249,8 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         # Division keeps a decimal number the nearest float.
         at = number(where, x, cells[x]) / X.columns[x]
         found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
+    # A recording over time may have a sign of the speed in each row.
+    header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header, found)
     return Table(header, (x, deviation), found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
 
 
@@ -450,13 +452,24 @@ def _a_row_for_each(
     return [*(header[at] for at in shared), RUN_COLUMN, "direction" if way else "", unit], found
 
 
-def _with_direction(header: list[str], rows: Sequence[tuple[str, int, list[str]]]) -> list[str]:
-    """The header with the name ``direction`` for the first column that has a direction in each row, and both in all:
-    runs that are all listed by rising x would else be taken for runs of one direction."""
+def _with_direction(header: list[str], rows: Sequence[Row]) -> list[str]:
+    """The header, and the cells, with the name ``direction`` for the first column that has a direction in each row, and
+    both in all, if x goes the same way in both: else these would be taken for runs of one direction.
+
+    Where x turns, its trend is the direction: an instrument may call the way on which x falls forward, or the column
+    may say how a single point was approached.
+    """
     for at, name in enumerate(header):
-        ways = WAYS_IN_CELLS if name.startswith("dir") else DIRECTIONS
-        if {ways.get(row[at].strip().lower()) for *_, row in rows} == {*WAYS}:
-            return [*header[:at], "direction", *header[at + 1 :]]
+        words = WAYS_IN_CELLS if name.startswith("dir") else DIRECTIONS
+        ways = [words.get(row.cells[name].lower()) for row in rows]
+        if {*ways} == {*WAYS}:
+            both = [[row.x for row, one in zip(rows, ways, strict=True) if one == way] for way in WAYS]
+            there, back = (sum((b > a) - (b < a) for a, b in itertools.pairwise(x)) for x in both)
+            shared = min(map(max, both)) - max(map(min, both))
+            if there * back > 0 and shared > (max(map(max, both)) - min(map(min, both))) / 2.0:
+                for row in rows:
+                    row.cells["direction"] = row.cells.pop(name)
+                return [*header[:at], "direction", *header[at + 1 :]]
     return header
 
 
@@ -468,13 +481,13 @@ def _spelled(name: str) -> str:
 
 
 def _plain(cell: str) -> str:
-    """In lower case, with either micro sign as ``u``, inches as ``in``, and a unit in brackets last; what is too long
-    for a name ends with …"""
+    """In lower case, with either micro sign as ``u``, inches as ``in``, and a unit last that is before a direction
+    or a number; what is too long for a name ends with …"""
     text = cell.strip().lower()
     text = text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}…"
     text = text.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u2212", "-")
     text = _INCH.sub(lambda found: "uin" if found[1] else "in", text)
-    return _UNIT_WITHIN.sub(r"\1 \3 \2", text).strip()
+    return _UNIT_WITHIN.sub(r"\1\3 \4 \2", text).strip()
 
 
 def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int], delimiter: str) -> None:

@@ -129,7 +129,7 @@ TURNS = THERE + THERE[-2::-1]
             (f"x_mm,Run 1 (µm),{beside} (µm)", THREE, f"line·1 column·'{beside.lower().replace(' ', '·')} may·be·a·run")
             for beside in ("Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again")
         ),
-        ("x_mm,Run 1 (µm),Run 2 (µm) repeated", THREE, "line·1 may·be·a·run"),
+        ("x_mm,Run 1 (µm),Run 1 (µm) back", THREE, "line·1 column·'run·1·back·(um)'·may·be·a·run"),
         ("x_mm,Run 1 [µm],Run 2", THREE, "line·1 column·'run·2' may·be·a·run·and·has·no·unit"),
         ("x_mm,Forward [µm],Backward", THREE, "line·1 column·'backward' may·be·a·run·and·has·no·unit"),
         ("Position,1+,1-\nmm,µm,", THREE, "line·2 column·'1-' may·be·a·run·and·has·no·unit"),
@@ -231,6 +231,10 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
         ("dir,", [("1,", OUT), ("-1,", OUT)], WAYS[:2]),
         ("Approach,", [("forward,", OUT), ("reverse,", OUT)], WAYS[:2]),
         ("Passed,", [("+,", OUT), ("-,", BACK), ("+,", OUT)], [*WAYS[:2], WAYS[2]]),
+        # Where x turns, its trend gives them, whatever an instrument calls forward.
+        ("Dir,", [("F,", BACK), ("R,", OUT)] * 2, [WAYS[1], WAYS[0], WAYS[3], WAYS[2]]),
+        ("run,Approach,", [("7,forward,", BACK), ("7,reverse,", OUT)], [("7", "backward"), ("7", "forward")]),
+        ("Approach,", [("fwd,", OUT), ("bwd,", BACK[1:]), ("fwd,", OUT[1:]), ("bwd,", BACK[1:])], WAYS),
     ],
 )
 def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, header, passages, expected):
@@ -239,6 +243,11 @@ def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, 
     assert [(run.name, run.direction) for run in runs] == expected
     assert [run.x.size for run in runs] == [len(passage) for _, passage in passages]
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
+
+
+def test_a_direction_that_only_a_part_of_x_has_is_none_of_the_runs(read):
+    (run,) = read("Probe,x_mm,deviation_um", *_rows(OUT[:10], "fwd,"), *_rows(OUT[10:], "bwd,")).runs
+    assert run.x.size == len(OUT)
 
 
 @pytest.mark.parametrize(
@@ -253,6 +262,7 @@ def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, 
         ("x_mm,1 forward (\u00b5m),1 reverse (\u00b5m)", False, WAYS[:2]),
         ("x_mm,Straightness (\u00b5m) run 1,Straightness (\u00b5m) run 2", False, WAYS[::2]),
         ("x_mm,Run 1 forward (\u00b5m),Run 1 [\u00b5m] backward", False, WAYS[:2]),
+        ("x_mm,Run 1 (\u00b5m)+,Run 1 (\u00b5m) \u2212", False, WAYS[:2]),
     ],
 )
 def test_each_run_may_have_a_column_of_its_own(read, header, back, expected):
@@ -308,6 +318,7 @@ def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column
     [
         *("Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)", "s forward (µm)"),
         *("run 3 (0.1 µm)", "run 3 (µm/m)", "Temp run 1 (°C)", "Run 1 temperature", "Pass"),
+        *("Run 1 (µm) smoothed", "Run 1 (µm) - Run 2", "Run 1 (µm) less Run 2 (µm)"),
     ],
 )
 def test_a_column_that_is_computed_of_runs_or_has_another_unit_or_no_number_is_no_run(read, beside):
