@@ -273,7 +273,8 @@ def step(
         # Nothing holds the platform against what the converter rounds off: the observer knows it before it shows. No
         # size at all is only in the linearisation of `margins.py`.
         if believed > 0.0 and math.isfinite(answer):
-            answer = limited(loop.current_limit, nearest_step(g.code, g.half_codes, answer))
+            rounded = limited(loop.current_limit, nearest_step(g.code, g.half_codes, answer))
+            asked, answer = asked + (rounded - answer), rounded
     after = predicted(loop.actuator, loop.mass, loop.after_action, action, answer, loop.stiffness)
     prior = Estimate(after.y, after.velocity, others, after.current)
     command = Command(answer, r - y, sigma, equivalent, asked - equivalent, now.velocity, now.disturbance)
