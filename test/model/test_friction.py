@@ -42,17 +42,6 @@ def plant_with(values):
     return true_plant(from_mapping(StageParameters, described), from_mapping(TruthParameters, contact))
 
 
-@pytest.mark.parametrize(("model", "other"), [("lugre", "maxwell_slip"), ("maxwell_slip", "lugre")])
-def test_a_simulated_contact_is_as_described_unless_it_has_a_model_of_its_own(model, other):
-    def contact(plant):
-        return plant.contact.extension(1e6)
-
-    described, own = from_mapping(StageParameters, {"friction.model": model}), {"contact.model": other}
-    as_truth = contact(plant_with({"contact.model": model}))
-    assert contact(described.plant) == contact(true_plant(described, TruthParameters())) == as_truth
-    assert contact(true_plant(described, from_mapping(TruthParameters, own))) == contact(plant_with(own)) != as_truth
-
-
 class Contact:
     """Friction alone, moved as the test says; the functions that the plant calls, as plain Python."""
 
