@@ -356,7 +356,7 @@ def test_a_zero_that_has_moved_is_found_where_the_encoder_has_counted_on_and_bel
             x = 0.05 * k * T * 1e-9 - (zero if k >= begin + 30 else before)
             x += 0.1 if event == "lost counts" and begin + 15 <= k < begin + 30 else 0.0
             late = 200 if event == "lost samples" and k >= begin + 15 else 0
-            watch.look([Sample((k + late) * T, round(x / COUNT) * COUNT, 0.0, 0.0)], not begin + 10 <= k < begin + 30)
+            watch.look([Sample((k + late) * T, round(x / COUNT) * COUNT, 0.0, 0.0)], not begin + 1 <= k < begin + 30)
         return watch.finding
 
     found = ZeroWatch(STAGE)
