@@ -5,7 +5,7 @@ import pytest
 from bag_of_rows import REPORT, STORE, bag_of, bag_of_rows, header, report
 
 from straightcomp_ros.bags import BagError, fields
-from straightcomp_ros.bags.fields import Field, read_field
+from straightcomp_ros.bags.fields import Field, FieldValues, read_field
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, ENCODER
 
@@ -60,6 +60,15 @@ def test_values_come_in_the_order_of_their_stamps_and_of_one_stamp_the_first(tmp
         messages.append(("/probe", kind, data, START_NS + number, START_NS + number))
     found = read_field(bag_of(tmp_path / "bag", messages), Field("probe", "point.y"))
     assert (found.stamp.tolist(), found.values.tolist()) == ([10, 20, 30], [2.0, 4.0, 0.0])
+
+
+def test_between_values_that_are_not_far_apart_they_lie_on_a_line_and_elsewhere_they_are_not_known():
+    ms = np.array([0, 1, 5, 200, 201])
+    found = FieldValues(START_NS + ms * 1_000_000, 3.0 * ms, True)
+    asked = np.array([-1.0, 0.0, 0.25, 1.0, 4.0, 5.0, 100.0, 200.0, 200.5, 201.0, 202.0])
+    values, known = found.at(START_NS + (asked * 1e6).astype(np.int64))
+    assert known.tolist() == [one not in (-1.0, 100.0, 202.0) for one in asked]
+    assert values[known] == pytest.approx(3.0 * asked[known], rel=1e-9)
 
 
 @pytest.mark.parametrize("time_ns", [1 << 63, (1 << 64) - 1])
