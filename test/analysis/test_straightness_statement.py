@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import lfilter
 from tiers import nightly
 
+from straightcomp_ros.analysis import straightness_statement as statement
 from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Stroke, StrokeRecord, whole_ways
 from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, stated, statements
@@ -87,6 +88,21 @@ def test_a_budget_lists_each_contribution_and_repeatability_contains_the_encoder
         assert repeatability.share == pytest.approx(repeatability.uncertainty / math.sqrt(8.0) * 2.43 / 2.0, rel=1e-3)
 
 
+def test_a_curve_that_is_known_exactly_has_the_straightness_that_it_has_without_draws():
+    curve = np.random.default_rng(3).normal(0.0, 1e-6, (1, X.size)) + 1e-5 * X
+    ends = statement._extremes(curve, np.zeros((1, X.size, 1)), np.ones((X.size, 1), bool))
+    (found,) = statement._straightness(X, *ends)
+    assert found == pytest.approx([*about_lines(X, curve[0], np.ones_like(X)).values()], rel=1e-9)
+
+
+@pytest.mark.parametrize(("points", "certain", "left"), [(3, None, True), (4, None, False), (5, 2, True)])
+def test_errors_at_fewer_points_than_a_cubic_has_or_of_none_at_one_are_left_in_the_curve(points, certain, left):
+    errors = np.random.default_rng(3).normal(0.0, NOISE, (points, 100))
+    errors[certain if certain is not None else slice(0)] = 0.0
+    found = statement._without(np.linspace(X[0], X[-1], points), errors, X, SHAPE)
+    assert np.array_equal(found, SHAPE) == left and np.isfinite(found).all()
+
+
 def test_the_same_run_gives_the_same_statements_to_the_bit():
     first, second = (measured(np.random.default_rng(2), True, 0.0) for _ in range(2))
     assert first == second
@@ -145,6 +161,10 @@ def test_a_stroke_in_parts_is_stated_as_a_whole_and_shorter_ones_are_left_out(ma
     (first, last), x = [Stroke(0, 3, "forward"), Stroke(3, 6, "forward")], np.array([0.0, 1.0, 2.0])
     assert whole_ways([first, last], np.append(x, x)) == ([[first], [last]], [])
     assert whole_ways([first, last], np.append(x, x + 2.0)) == ([[first, last]], [])
+    # A way is as long wherever the zero of x lies.
+    back = Stroke(3, 6, "backward")
+    for zero in (-9.0, -1.0, 0.0, 9.0):
+        assert whole_ways([first, back], np.append(x, 2.0 - 0.1 * x) - zero) == ([[first]], [[back]])
 
 
 @pytest.mark.parametrize("samples", [500, 2000])
