@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from bag_of_rows import REPORT, bag_of, bag_of_rows, packed, report
 
+from straightcomp_ros.analysis import evaluation
 from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
+from straightcomp_ros.analysis.record import runs_of
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
@@ -102,6 +104,15 @@ def test_samples_at_another_rate_than_the_parameters_of_their_run_are_said_to_be
 def test_recorded_parameters_that_are_no_numbers_refuse_the_bag(tmp_path, rate):
     with pytest.raises(BagError, match=r"'stage\.rate' of node 'driver' is .*; allowed: a finite number"):
         evaluate_bag(recorded(tmp_path / "bag", rate=rate))
+
+
+def test_of_rests_between_strokes_only_that_in_which_the_recording_paused_is_not_judged(motion_profile):
+    time, x = motion_profile
+    stamps = np.append(time, time + time[-1] + 3600.0) * 1e9
+    judged = evaluation._judged(stamps.astype(np.int64), np.append(x, x))
+    # From the stroke before the pause to the one behind it, at rest for 0.25 s on each side.
+    ((begin, end),) = runs_of(~judged)
+    assert (begin, end) == pytest.approx((time.size - 500, time.size + 500), abs=20)
 
 
 def test_samples_that_come_twice_or_in_disorder_count_once(tmp_path):

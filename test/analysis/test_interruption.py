@@ -1,12 +1,14 @@
 """A run that lost its law, its amplifier or its clock in motion is never in order."""
 
+import itertools
+
 import numpy as np
 import pytest
 from places import SMC
 from rewritten_bag import rewritten
 from tiers import nightly
 
-from straightcomp_ros.analysis.interruption import played, stalls_of
+from straightcomp_ros.analysis.interruption import encoder_run, played, stalls_of
 from straightcomp_ros.analysis.record import motion_of, strokes_and_jumps
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.fleet.history.adding import evaluate_bag
@@ -220,6 +222,14 @@ def test_strokes_on_both_sides_of_a_jump_of_x_are_found_and_a_jump_is_no_stroke(
     assert strokes_and_jumps(between * 5e-4, jumped)[1].tolist() == [2000]
     with pytest.raises(ValueError, match="x jumps by 100 mm"):
         motion_of(time, np.where(time < 1.0, 0.0, 0.1))
+
+
+def test_times_that_follow_each_other_share_the_samples_in_motion():
+    run = encoder_run(SAMPLES, 0.1 * SAMPLES * 1e-9, np.ones(SAMPLES.size, bool), int(SAMPLES[-1]))
+    (stroke,), times = run.strokes, [0, *SAMPLES[[400, 401, 1500]].tolist(), 2 * S]
+    parts = [run.moving(*pair) for pair in itertools.pairwise(times)]
+    assert np.sum(parts, axis=0)[stroke.samples].tolist() == [1] * (stroke.stop - stroke.start)
+    assert [int(part.sum()) for part in parts[1:3]] == [1, 1099]
 
 
 def test_a_recording_that_is_cut_off_at_rest_with_the_amplifier_on_is_interrupted(tmp_path, judged):

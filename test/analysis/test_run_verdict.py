@@ -185,10 +185,10 @@ CASES = {
         ("oscillates", "50 Hz", motion(SMALL + NOISE + 0.5e-6 * sine(50.05) * (np.abs(TIME - 4.0) > 0.5), x=IN_TURN)),
     ],
     "waves over x are locked to it, whatever their frequency": [
-        ("locked_to_x", "every 10 mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK, r=0.1 * R)),
+        ("locked_to_x", "every 10 mm of x.*learning.learn", motion(SMALL + WAVES, x=THERE_AND_BACK - 1.0, r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=THERE_AND_BACK)),
         # A jog is too short for waves.
-        ("locked_to_x", "every 10 mm of x", motion(SMALL + JOGGED, x=AND_A_JOG, r=0.1 * R)),
+        ("locked_to_x", "every 10 mm of x", motion(SMALL + JOGGED, x=AND_A_JOG + 1.0, r=0.1 * R)),
         ("locked_to_x", "every 10 mm of x", motion(SMALL + SHORT_RAMPS[1], x=SHORT_RAMPS[0], r=0.1 * R)),
         ("oscillates", "", motion(SMALL + 0.4e-6 * sine(44.0), x=SHORT_RAMPS[0], r=0.1 * R)),
     ],
