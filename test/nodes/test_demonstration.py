@@ -79,7 +79,7 @@ def test_more_strokes_than_fit_one_trajectory_are_refused_before_anything_starts
         demonstrate(short_cycle, tmp_path / "new")
     assert not (tmp_path / "new").exists()
     # A client of the gateway moves the stage by one movement after the other.
-    assert demonstration._cycle(short_cycle, 33)[0] > 60.0
+    assert demonstration.planned(short_cycle, 33)[0] > 60.0
 
 
 @pytest.mark.parametrize("cycle_ms", [500, 2000])
