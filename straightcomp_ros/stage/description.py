@@ -22,7 +22,7 @@ from straightcomp_ros.model.modes import ModeParameters, ModesParameters, TrueMo
 from straightcomp_ros.model.motion import MotionParameters, reach
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
-from straightcomp_ros.straightness.feedforward import FeedforwardParameters
+from straightcomp_ros.straightness.feedforward import FeedforwardParameters, outdated_handover
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey_table import WAYS
 
@@ -186,15 +186,17 @@ class StageParameters:
 
     def outdated(self, straightness: StraightnessMap, lead: float) -> float:
         """Largest error in m of a reference of a while ago (``lead`` in s), extrapolated by its two rates: along the
-        map at full speed, there and back, together with a ramp's begin or end, which no earlier reference shows."""
+        map at full speed, there and back, or from one table to the other after a reversal, together with a ramp's begin
+        or end, which no earlier reference shows."""
         low, high = reach(self.motion)
-        x, way, missed = np.linspace(low, high, _PLACES), self.motion.speed * lead, [0.0]
+        x, way, ramp = np.linspace(low, high, _PLACES), self.motion.speed * lead, self.motion.acceleration
+        missed = [outdated_handover(straightness.hysteresis, ramp, straightness.reversal, lead)]
         for direction, ahead in zip(WAYS, (way, -way), strict=True):
             at = x[(x + ahead >= low) & (x + ahead <= high)]
             r, slope, curvature = straightness.evaluate(at, direction)
             error = straightness.evaluate(at + ahead, direction)[0] - (r + (slope + 0.5 * curvature * ahead) * ahead)
             missed.append(float(np.abs(error).max(initial=0.0)))
-        return max(missed) + 0.5 * straightness.steepest * self.motion.acceleration * lead**2
+        return max(missed) + 0.5 * straightness.steepest * ramp * lead**2
 
     def enough_lead(self, straightness: StraightnessMap, longest: float) -> float:
         """How old a reference may be, in s: as ``longest``, or where that errs by more than the rounding of y, by as

@@ -51,6 +51,8 @@ Lookup = Callable[[float], Rates]
 FADE_TIME = 0.5
 """s, from the old map to the new one."""
 
+_TIMES = 200
+"""Of a hand-over at which an earlier reference is compared with it: half as many find the same to 2 %."""
 _NEVER = -(2**63)
 """Stamp in ns, earlier than any restart_gap before a sample."""
 
@@ -179,6 +181,15 @@ def handover(apart: float, acceleration: float, length: float) -> tuple[float, f
     """Largest ṙ in m/s and r̈ in m/s² that the hand-over between tables ``apart`` (m) adds within ``length`` (m), for a
     stage that has ``acceleration`` (m/s²) from the reversal on."""
     return 1.93 * apart * math.sqrt(acceleration / length), 8.7 * apart * acceleration / length
+
+
+def outdated_handover(apart: float, acceleration: float, length: float, lead: float) -> float:
+    """Largest error in m of a reference of ``lead`` s ago, extrapolated by its two rates, in a :func:`handover`."""
+    t = np.linspace(0.0, math.sqrt(2.0 * length / acceleration), _TIMES)
+    ways = (0.5 * acceleration * at**2 for at in (t, t + lead))
+    (w, slope, curvature), (later, *_) = (np.transpose([weight(x, length) for x in way.tolist()]) for way in ways)
+    w_dot, w_ddot = rates(slope, curvature, acceleration * t, np.full_like(t, acceleration))
+    return apart * float(np.abs(later - (w + (w_dot + 0.5 * w_ddot * lead) * lead)).max())
 
 
 def follower(straightness: StraightnessMap) -> Lookup:

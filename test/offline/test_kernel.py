@@ -1,5 +1,6 @@
 """The compiled loop is the simulation, to the last bit."""
 
+import dataclasses
 import math
 from dataclasses import fields
 from typing import NamedTuple
@@ -144,19 +145,24 @@ def test_references_of_a_cycle_are_those_of_the_feedforward_to_the_last_bit():
     np.testing.assert_array_equal(references(MAP, FeedforwardParameters(), STAGE, stamps, x), expected)
 
 
-@pytest.mark.parametrize(("acceleration", "speed"), [(40.0, 0.3), (10.0, 1.3)])
+@pytest.mark.parametrize(("acceleration", "speed", "apart"), [(40.0, 0.3, 0.0), (10.0, 1.3, 0.0), (10.0, 1.0, 0.5e-6)])
 def test_a_reference_of_a_while_ago_errs_by_what_the_stage_says_at_most_and_with_enough_lead_by_no_count(
-    acceleration, speed
+    acceleration, speed, apart
 ):
     stage = {"motion.stroke": 1.0, "motion.speed": speed, "motion.acceleration": acceleration}
+    shifted = [
+        dataclasses.replace(one, deviation=one.deviation + apart * (one.direction == "forward"))
+        for one in MAP.survey.runs
+    ]
     for values in ({}, {"encoder.y_resolution": 1e-8}):
         scenario = make_scenario(case(stage={**stage, **values}), ["smc"])
+        scenario = dataclasses.replace(scenario, survey=Survey(tuple(shifted)))
         stroke, described, lead = scenario.stroke(), scenario.followed, scenario.lead_ns * 1e-9
         found = np.abs(stroke.given[:, 0] - stroke.references[:, 0]).max()
         # The steepest place, the most curved one and the ramps need not meet; tracking adds its share.
         assert 0.4 <= found / described.outdated(stroke.map, lead) <= 1.2
         enough = described.enough_lead(stroke.map, lead)
-        assert (enough < lead) == bool(values)
+        assert (enough < lead) == bool(values or apart)
         assert described.outdated(stroke.map, enough) <= described.encoder.y_rounding
 
 
