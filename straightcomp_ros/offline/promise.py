@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from straightcomp_ros.analysis.judged_motion import Left, destabilised
-from straightcomp_ros.analysis.record import MOVING, SPEED_SPAN, MetricsError, StrokeRecord, motion_of
+from straightcomp_ros.analysis.record import SPEED_SPAN, MetricsError, StrokeRecord, motion_of
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.model.motion import Trajectory, Waypoint, forward_and_back, move
 from straightcomp_ros.offline.scenario import MOST_SAMPLES, Scenario
@@ -108,7 +108,7 @@ def _motion(record: StrokeRecord, described: Any) -> Any:
     moving = record.motion.samples()
     before, after = np.maximum(moving - half, 0), np.minimum(moving + half, record.time.size - 1)
     speeds = np.abs(record.x[after] - record.x[before]) / (record.time[after] - record.time[before])
-    start, stroke, speed = float(x.min()), float(np.ptp(x)), max(float(np.quantile(speeds, 0.999)), MOVING)
+    start, stroke, speed = float(x.min()), float(np.ptp(x)), float(np.quantile(speeds, 0.999))
     # The list of positions is not in a bag. Its movements are there, and equal ones are much the same.
     ways = [float(np.ptp(record.x[one.samples])) for one in record.motion.strokes]
     made = min(len(ways), max(1, round(stroke / float(np.median(ways)))))

@@ -222,6 +222,8 @@ def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_
         # A stage that goes backward first: as described, and elsewhere.
         ({"start": 2.0, "stroke": -0.3}, {"start": 2.0, "stroke": -0.3}, {"start": 2.0, "stroke": -0.3}),
         ({"start": 2.0, "stroke": -0.3}, {"stroke": -1.0}, {"start": 2.0, "stroke": -0.3}),
+        # A motion that is as slow as one of a machine that creeps.
+        ({"stroke": 0.004, "speed": 1e-4}, {}, {"stroke": 0.004, "speed": 1e-4}),
         # A list of near positions far from the start.
         ({"file": "0.25\n0.2505\n0.251\n0.2515\n"}, {"file": "unknown"}, {"stroke": 0.2515, "steps": 5}),
         # A trajectory that accelerates more than is described.
