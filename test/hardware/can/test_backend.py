@@ -533,7 +533,7 @@ def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_mo
         world.host.pace(Pace(0.5))
     world.host._link.send, world.host._link.problem = send, ""
     world.host.pace(Pace(0.5))
-    for begin, distance in ((0.0, 0.02), (0.02, -0.02)):
+    for begin, distance in ((0.0, 0.02), (0.0, 0.01)):
         world.run(0.2)
         world.host.move(Trajectory(jog(STAGE.motion, begin, distance)), world.now)
         world.run(0.1)
@@ -541,13 +541,15 @@ def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_mo
         assert board.pace == world.host.motion.pace == Pace(0.5) and not board.over
         # A running motion cannot be slowed down or held by what is not sent.
         world.host._link.send, world.host._link.problem = (lambda *frame, **how: False), "CAN can0: gone"
-        with pytest.raises(HardwareError, match="gone"):
-            world.host.pace(Pace(hold=True))
+        for pace in (Pace(hold=True), Pace(0.1)):
+            with pytest.raises(HardwareError, match="gone"):
+                world.host.pace(pace)
         world.host._link.send, world.host._link.problem = send, ""
         world.run(2.0)
         assert board.position(world.now) == world.host.motion.position(world.now) == begin + distance
-        # The emulator is started again meanwhile, where the stage stands.
-        board.ask(Pace())
+        # The emulator is started again meanwhile, with its stage elsewhere than the driver left it.
+        world.power_up()
+    assert world.host.motion.number == 2
 
 
 def test_counters_show_bus_log_and_lost_samples_wherever_they_went(running):
