@@ -20,7 +20,7 @@ def guide(wavenumber):
         r, slope = -HEIGHT * np.sin(wavenumber * x), -HEIGHT * wavenumber * np.cos(wavenumber * x)
         return r, slope, -(wavenumber**2) * r
 
-    return SimpleNamespace(evaluate=evaluate, steepest=HEIGHT * wavenumber)
+    return SimpleNamespace(evaluate=evaluate, steepest=HEIGHT * wavenumber, hysteresis=0.0, reversal=1e-4)
 
 
 def fast(**changes):

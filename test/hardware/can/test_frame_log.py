@@ -3,6 +3,7 @@
 import gzip
 import io
 import itertools
+import re
 import shutil
 import sqlite3
 import time
@@ -273,6 +274,8 @@ def test_an_asc_log_is_read_in_its_base_and_kind_of_times_whatever_the_language_
         ("a.log", lines_of(HALF_MS, ["can0", "can1"]).encode(), {}, ["can0 and can1", "--channel"]),
         ("a.log", lines_of([12, 12.1, 1.7e9]).encode(), {}, ["53.9 years", "frame 2"]),
         ("a.log", lines_of([12, 12.1, 12.2, 3612.2]).encode(), {}, ["1 h", "frame 3"]),
+        ("a.log", lines_of([12, 73]).encode(), {}, ["1.02 min", "frame 1"]),
+        ("a.log", lines_of([12, 13, 11.9]).encode(), {}, ["-1.1 s", "frame 2"]),
         ("a.log", lines_of([1.7e9, 12]).encode(), {}, ["-53.9 years", "frame 1"]),
         *((f"a.{end}", two_buses(end), {}, ["on 1 and 2", "--channel"]) for end in ("asc", "blf")),
         ("a.log", b"(nan) can0 181#11\n", {}, ["first frame"]),
@@ -297,6 +300,12 @@ def test_a_log_that_cannot_be_played_as_it_was_is_named_for_what_it_is(tmp_path,
     code, _, said = replayed(verb, tmp_path / name, *speed, **{"fd": False, **options})
     printed = " ".join(said.split())
     assert code == 2 and all(word in printed for word in words) and "damaged" not in printed
+
+
+def test_silences_of_up_to_a_minute_and_frames_up_to_a_second_out_of_order_are_played():
+    times = (12.0, 13.0, 72.0, 71.1, 71.9)
+    number, notes = frame_log.check_times_and_buses([can.Message(timestamp=time) for time in times])
+    assert number == len(times) and [re.search(r"silence of (.*) after", note)[1] for note in notes] == ["59 s"]
 
 
 def test_one_bus_of_a_log_with_two_is_played_where_it_is_chosen(tmp_path, verb):
@@ -348,10 +357,13 @@ def test_a_log_may_begin_with_the_mark_of_utf_8(tmp_path, ending):
     assert len(list(RecordedBus(file))) == 10
 
 
-@pytest.mark.parametrize("ending", [".log", ".blf", ".asc", ".csv", ".log.gz", ".blf.gz", ".asc.gz"])
-def test_a_log_that_is_cut_off_anywhere_has_whole_frames_only_and_is_reported(tmp_path, ending):
-    file, plain = tmp_path / f"bus{ending}", tmp_path / f"bus{ending.removesuffix('.gz')}"
-    with can.BLFWriter(plain, max_container_size=600) if ".blf" in ending else can.Logger(plain) as logger:
+_NAMES = ["bus.log", "bus.blf", "unfinished.blf", "bus.asc", "bus.csv", "bus.log.gz", "bus.blf.gz", "bus.asc.gz"]
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_a_log_that_is_cut_off_anywhere_has_whole_frames_only_and_is_reported(tmp_path, name):
+    file, plain = tmp_path / name, tmp_path / name.removesuffix(".gz")
+    with can.BLFWriter(plain, max_container_size=600) if ".blf" in name else can.Logger(plain) as logger:
         for number in range(60):
             logger(message(number))
 
@@ -368,6 +380,9 @@ def test_a_log_that_is_cut_off_anywhere_has_whole_frames_only_and_is_reported(tm
         file.write_bytes(packed(content)[:-4])
         found, damage = read()
         assert len(found) >= 59 and found == sent[: len(found)] and damage
+    if name == "unfinished.blf":
+        # Its head does not say where it ends.
+        content = content[:16] + bytes(8) + content[24:]
     for end in range(len(content) * 3 // 4, len(content) - 1, 11):
         file.write_bytes(packed(content[:end]))
         found, damage = read()
