@@ -19,7 +19,7 @@ from straightcomp_ros.model.disturbances import (
     locked_force,
 )
 from straightcomp_ros.model.friction import LuGreParameters
-from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, ModesParameters, at_encoder
+from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, ModesParameters, at_coil, at_encoder
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters, advance, plant_state
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 
@@ -91,11 +91,11 @@ def test_the_encoder_interpolates_with_an_error_over_its_signal_period():
     assert interpolated(k, 15e-6) == pytest.approx(15e-6 - 40e-9)
 
 
-def rung(mode, t):
-    """What a mode adds at the encoder to a free platform of 1 m/s, t s after the impulse."""
+def rung(mode, participation, t):
+    """What a mode adds where it takes part so to a free platform of 1 m/s, t s after the impulse."""
     w = 2.0 * math.pi * mode.frequency
     turning = w * math.sqrt(1.0 - mode.damping**2)
-    return mode.residue * math.exp(-mode.damping * w * t) * math.sin(turning * t) / turning
+    return mode.coil * participation * math.exp(-mode.damping * w * t) * math.sin(turning * t) / turning
 
 
 def test_a_platform_rings_as_its_modes_say():
@@ -110,8 +110,10 @@ def test_a_platform_rings_as_its_modes_say():
     for n in range(1, 21):
         advance(k, state, 0.0, 0.0, 500_000)
         t = 5e-4 * n
-        expected = t + sum(rung(mode, t) for mode in modes)
-        assert at_encoder(k, state, 0) == pytest.approx(impulse * expected, abs=1e-3 * impulse * t)
+        for place, at in (at_coil, "coil"), (at_encoder, "encoder"):
+            later, now = (s + sum(rung(mode, getattr(mode, at), s) for mode in modes) for s in (t + 1e-8, t))
+            assert place(k, state, 0) == pytest.approx(impulse * now, abs=1e-3 * impulse * t)
+            assert place(k, state, 1) == pytest.approx(impulse * (later - now) / 1e-8, abs=2e-3 * impulse)
 
 
 def test_a_force_bends_a_mode_by_its_participation():
