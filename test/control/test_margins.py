@@ -12,6 +12,7 @@ from straightcomp_ros.control.margins import (
     LEAST_GAINS,
     StateSpace,
     closed_loop,
+    friction_damping,
     last_stable,
     linearised,
     loop_margins,
@@ -152,6 +153,16 @@ def test_the_sampled_plant_of_a_flexible_platform_on_a_flexure_is_the_simulated_
         places.append(((plant.c @ x)[0], at_encoder(constants, state, 0)))
     linear, seen = np.transpose(places)
     assert linear == pytest.approx(seen, abs=0.005 * np.ptp(seen))
+
+
+@pytest.mark.parametrize("speed", [3e-6, 3e-5, 3e-4])
+def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does(speed):
+    friction, v = STAGE.friction, speed * np.linspace(-8.0, 8.0, 100_001)
+    often = np.exp(-0.5 * (v / speed) ** 2)
+    slow = np.exp(-((v / friction.stribeck_velocity) ** 2))
+    force = (friction.coulomb + (friction.static - friction.coulomb) * slow) * np.sign(v) + friction.viscous * v
+    expected = np.sum(often * v * force) / np.sum(often * v * v)
+    assert friction_damping(friction, speed) == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_border_of_stability_is_the_one_next_to_the_stable_value():

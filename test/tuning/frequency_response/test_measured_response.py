@@ -18,7 +18,7 @@ from straightcomp_ros.control.excitation import (
     simple_currents,
 )
 from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.control.margins import LoopResponse, friction_damping, loop_margins, loop_response
+from straightcomp_ros.control.margins import LoopResponse, loop_margins, loop_response
 from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.offline.starts import with_values
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -265,14 +265,6 @@ def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it():
     assert seeing is not None
     # The observer sees a current that is too large and takes back what it did: the margin is another than without.
     assert abs(seeing / loop_margins(law, STAGE).gain_high - 1.0) > 0.02
-
-
-def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does():
-    friction, speed = STAGE.friction, 3e-5
-    v = speed * np.random.default_rng(1).standard_normal(2_000_000)
-    slow = np.exp(-((v / friction.stribeck_velocity) ** 2))
-    force = (friction.coulomb + (friction.static - friction.coulomb) * slow) * np.sign(v) + friction.viscous * v
-    assert friction_damping(friction, speed) == pytest.approx(np.mean(v * force) / np.mean(v * v), rel=3e-3)
 
 
 HZ = 2000.0
