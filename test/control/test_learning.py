@@ -412,10 +412,14 @@ def test_nothing_is_learned_from_a_pass_that_was_interrupted_or_in_which_x_jumps
     assert learner.tables[False].updates == 1
 
 
-def test_nothing_is_learned_from_a_pass_that_never_ends(monkeypatch):
+@pytest.mark.parametrize(("limit", "beyond"), [("_SHORTEST", 1), ("_LONGEST", -1)])
+def test_nothing_is_learned_from_a_pass_that_is_too_short_or_never_ends(monkeypatch, limit, beyond):
     """A stage that creeps on for minutes must not fill the memory."""
-    for longest, learned in ((3000, 1), (1500, 0)):
-        monkeypatch.setattr(learning_module, "_LONGEST", longest)
+    jobs = []
+    Rig(Learning(LearningParameters(learn=True), "smc", RATE, jobs.append)).cycle()
+    samples = len(jobs[0].args[1])
+    for allowed, learned in ((samples, 1), (samples + beyond, 0)):
+        monkeypatch.setattr(learning_module, limit, allowed)
         rig = Rig(learning())
         rig.cycle()
         assert rig.learning.tables[True].updates == learned
