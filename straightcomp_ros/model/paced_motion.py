@@ -98,8 +98,8 @@ class PacedMotion:
         way = BPoly.from_derivatives([0.0, end_ns * 1e-9], [now, then])
         times = np.linspace(0, end_ns, min(_KNOTS, end_ns) if self._velocity else 1, endpoint=False, dtype=np.int64)
         in_front = times, way(times * 1e-9), way(times * 1e-9, 1)
-        columns = zip(in_front, (trajectory.times, trajectory.positions, trajectory.velocities), strict=True)
-        return Trajectory.from_columns(*map(np.concatenate, columns))
+        then_on = trajectory.times, trajectory.positions, trajectory.velocities
+        return Trajectory.from_columns(*map(np.append, in_front, then_on))
 
     def begin(self, trajectory: Trajectory, start_ns: int) -> None:
         """Take a trajectory that starts at ``start_ns``, :meth:`joined` to the motion that there is, with its pace.
