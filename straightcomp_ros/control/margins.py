@@ -339,8 +339,8 @@ def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequ
 
 
 def _resonances(plant: StateSpace, controller: StateSpace, period: float) -> Matrix:
-    """Frequencies (n,) in Hz about those of the poles: f (1 + ζ tan θ) with θ in equal steps, in which a resonance turns
-    its phase."""
+    """Frequencies (n,) in Hz about those of the poles: f (1 + ζ tan θ) with θ in equal steps, in which a resonance
+    turns its phase."""
     poles = np.concatenate([np.linalg.eigvals(system.a) for system in (plant, controller)])
     rates = np.log(poles[poles.imag > 0.0])
     turns = np.tan(np.linspace(-0.49, 0.49, _TURNS) * math.pi)
