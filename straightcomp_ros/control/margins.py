@@ -59,8 +59,8 @@ LEAST_PHASE = 5.0
 MECHANICS = ("mass", "force", "gap")
 """Facts of the uncertainty that change the plant without its drive."""
 _FREQUENCIES = 400
-_TURNS = 50
-"""Steps of a resonance's phase, 3.5° each: a narrow one lies between two frequencies of such a grid, 2 % apart."""
+_HARDLY, _TURNS = 0.1, 50
+"""Damping below which a resonance is narrow on such a grid, whose steps are 2 %; and steps of its phase, 3.5° each."""
 _HALVINGS = 10
 
 Matrix = NDArray[np.float64]
@@ -339,10 +339,11 @@ def phase_margin(plant: StateSpace, controller: StateSpace, period: float, frequ
 
 
 def _resonances(plant: StateSpace, controller: StateSpace, period: float) -> Matrix:
-    """Frequencies (n,) in Hz about those of the poles: f (1 + ζ tan θ) with θ in equal steps, in which a resonance
-    turns its phase."""
+    """Frequencies (n,) in Hz about those of the poles that are hardly damped: f (1 + ζ tan θ) with θ in equal steps, in
+    which a resonance turns its phase."""
     poles = np.concatenate([np.linalg.eigvals(system.a) for system in (plant, controller)])
     rates = np.log(poles[poles.imag > 0.0])
+    rates = rates[-rates.real < _HARDLY * np.abs(rates)]
     turns = np.tan(np.linspace(-0.49, 0.49, _TURNS) * math.pi)
     return np.asarray((rates.imag + np.outer(turns, rates.real)).ravel() / (2.0 * math.pi * period))
 
