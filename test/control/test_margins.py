@@ -89,6 +89,13 @@ def test_the_phase_margin_of_an_integrator_is_that_of_the_textbook(delayed):
     assert phase_margin(integrator, minus_one, PERIOD) == pytest.approx(expected, abs=0.2)
 
 
+def test_a_resonance_that_crosses_twice_between_two_frequencies_has_the_phase_margin_of_a_fine_grid():
+    ringing = STAGE.with_modes(ModeParameters(180.0, 0.0005, 0.1, 0.1))
+    coarse, fine = (phase_margin(sampled_plant(ringing), linearised(law("linear")), PERIOD, n) for n in (400, 100_000))
+    # Steps of the resonance's phase.
+    assert coarse == pytest.approx(fine, abs=3.5)
+
+
 def test_while_the_amplifier_is_as_described_the_measured_current_does_not_change_what_force_is_endured():
     made = law("smc_observer", smc_observer=ObserverDesign(delay=1.0))
     plain, measured = (linearised(made, with_current=measured) for measured in (False, True))
