@@ -100,20 +100,24 @@ class MapNoise:
 
 def point_noise(survey: Survey, x: Array, values: Array, own: NDArray[np.bool_]) -> float | None:
     """Standard deviation in m of the mean of both directions at one point, from ``values`` (runs, n) at ``x`` (n,), of
-    which those that are ``own`` (runs, n) count; None unless one direction has two runs. A direction with a single run
-    is taken to be as noisy as the other."""
-    counts, sums = list[int](), list[float]()
+    which those that are ``own`` (runs, n) count; None unless two runs of one direction share points. A direction whose
+    runs share none is taken to be as noisy as the other."""
+    counts, repeats, sums = list[int](), list[int](), list[float]()
     for way in WAYS:
         chosen = np.array([run.direction == way for run in survey.runs])
         if chosen.any():
             apart = values[chosen] - values[chosen].mean(axis=0)
-            apart = np.where(own[chosen], apart - drifts(x, apart, own[chosen]), 0.0)
+            # Where one run alone has a point, nothing shows its noise.
+            shared = own[chosen] & (own[chosen].sum(axis=0) > 1)
             counts.append(len(apart))
-            sums.append(float(np.sum(apart**2)) / (len(x) * float(own[chosen].mean()) - 2.0))
-    if max(counts) < 2:
+            freedom = float(shared.sum() - shared.any(axis=0).sum()) / max(len(apart) - 1, 1) - 2.0
+            repeats.append(len(apart) - 1 if freedom > 0.0 else 0)
+            apart = np.where(shared, apart - drifts(x, apart, own[chosen]), 0.0)
+            sums.append(float(np.sum(apart**2)) / freedom if freedom > 0.0 else 0.0)
+    if not any(repeats):
         return None
-    pooled = sum(sums) / sum(count - 1 for count in counts)
-    variances = [total / (count - 1) if count > 1 else pooled for total, count in zip(sums, counts, strict=True)]
+    pooled = sum(sums) / sum(repeats)
+    variances = [total / more if more else pooled for total, more in zip(sums, repeats, strict=True)]
     return math.sqrt(sum(v / count for v, count in zip(variances, counts, strict=True))) / len(counts)
 
 

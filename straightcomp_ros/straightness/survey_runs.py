@@ -54,8 +54,7 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
     """The x of one run, cut to the range that all runs cover, and all runs at these x.
 
     It is the run with the most points, of equal ones the first, of those that are about as fine as the median: at the
-    points of a run that is much finer than most, its noise would be taken for hysteresis. Where half of the runs are
-    much finer than the others, the first one decides.
+    points of a run that is much finer than most, its noise would be taken for hysteresis. Half of the runs are most.
 
     Runs with other x are interpolated by a cubic spline through their points (linear interpolation would cut 0.02 µm
     off a wave of 150 mm and 1 µm at 10 mm spacing); at a run's own points the spline is the measured value.
@@ -74,8 +73,7 @@ def on_common_grid(survey: Survey, min_points: int, max_gap: float) -> tuple[Arr
             )
     low, high = max(starts), min(ends)
     sizes = [run.x.size for run in survey.runs]
-    middle = sorted(sizes)[(len(sizes) - 1) // 2 : len(sizes) // 2 + 1]
-    most = _AS_FINE * next(size for size in sizes if size in middle)
+    most = _AS_FINE * sorted(sizes)[len(sizes) // 2]
     typical = max((run.x for run in survey.runs if run.x.size <= most), key=len)
     # Half a step of room to the ends: triggers jitter, and two points a micrometre apart make the spline wild.
     room = 0.5 * float(np.median(np.diff(typical)))

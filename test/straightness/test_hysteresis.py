@@ -1,6 +1,7 @@
 """A guide that is another one on the way back: two tables where it shows, no step of the reference between them."""
 
 import csv
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +59,15 @@ def test_the_noise_of_a_run_with_ten_times_the_points_is_no_hysteresis():
         straightness = mapped(Survey(tuple(runs)))
         assert not straightness.directed
         assert straightness.noise.point == pytest.approx(mapped(coarse).noise.point, rel=0.1)
+
+
+def test_the_noise_of_runs_that_share_few_points_is_that_of_these_points_and_any_order_gives_the_finer_ones():
+    coarse, fine = (surveyed(step, 1e-7).runs for step in (20e-3, 2e-3))
+    for runs in ([coarse[0], fine[2]], [fine[2], coarse[0]]):
+        assert runs[0].direction == runs[1].direction
+        straightness = mapped(Survey(tuple(runs)))
+        assert len(straightness.report.x) == len(fine[0].x)
+        assert straightness.noise.point == pytest.approx(1e-7 / math.sqrt(2.0), rel=0.25)
 
 
 def test_only_what_was_repeated_both_ways_shows_hysteresis():
