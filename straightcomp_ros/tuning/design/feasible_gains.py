@@ -151,7 +151,7 @@ def refusal(scenario: Scenario, law: str, seed: int = 1) -> DesignError:
         return _least_change(possible, halvings=5, tries=(1.0, 0.5, 0.25))
 
     for sentence, facts, present, furthest in changes:
-        if (share := least_share(facts, furthest)) is not None:
+        if present and (share := least_share(facts, furthest)) is not None:
             helpful.append(sentence.format(f"{_outward(present * furthest**share, up=furthest > 1.0):g}"))
     control = with_gains(next(iter(scenario.controls.values())), law, rule(law, stage))
     missed = StabilityCheck(stage).missed(control)
