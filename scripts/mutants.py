@@ -128,8 +128,9 @@ def draw(seed: int) -> Iterator[Mutant]:
         file, source = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8")
         lines, spans, same = source.splitlines(), left_out(source), Counter()
         nodes = [node for node in ast_nodes(get_ast(source)) if node.type not in ("name", "newline", "string")]
-        # A bare * in a signature multiplies nothing.
-        nodes = [node for node in nodes if node.type != "operator" or node.parent.type not in ("parameters", "param")]
+        # A bare * in a signature multiplies nothing, but cosmic-ray counts it.
+        operators = [node for node in nodes if node.type == "operator"]
+        spans += [(one.start_pos, one.end_pos) for one in operators if one.parent.type in ("parameters", "param")]
         choices = defaultdict(list)
         for operator in OPERATORS:
             positions = (position for node in nodes for position in operator.mutation_positions(node))
