@@ -339,7 +339,7 @@ class Frames:
     def _table(self, shown: Collection[str]) -> tuple[Any, ...]:
         """What :meth:`unpack` goes through for frames with the fields ``shown``, each by its place in ``kind``.
 
-        Shift and mask of each, 0 for a field that the frame does not have; moduli that are less than the bits hold;
+        Shift and mask of each, 0 for a field that the frame does not have; moduli of the counters;
         decoders of floats and of meanings; sign bit, scale and offset of numbers; what stands for a field that is
         absent; ends of a good reading, and which field says what beyond them; whether the fault code alone says that
         there is a fault.
@@ -352,7 +352,7 @@ class Frames:
                 continue
             signal, (scale, offset) = self.fields[field], self._line(field)
             bits.append(self._bits(signal))
-            if field in ("alive", "counter") and self.counts(field) < 2**signal.length:
+            if field in ("alive", "counter"):
                 counted.append((at, self.counts(field)))
             if field in self.values:
                 decoders.append((at, self._meanings(field).__getitem__))

@@ -2,6 +2,8 @@
 
 Random layouts are drawn by hypothesis; the package's own frames are compared with config/straightcomp.dbc."""
 
+import contextlib
+import itertools
 import math
 import random
 import re
@@ -14,13 +16,14 @@ import crccheck.crc
 import pytest
 from cantools import autosar
 from cantools.database.can import Message, Signal
+from cantools.database.conversion import IdentityConversion, LinearConversion
 from drawn_dbc import drawn_message
 from forgery import forged
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.dbc_file import in_page, limits, pages
+from straightcomp_ros.hardware.can.dbc_file import DbcError, in_page, limits, pages
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import (
     BoardFault,
@@ -130,12 +133,14 @@ def test_any_two_wrong_bits_are_found(wire):
                 wire.sample.unpack(wrong.to_bytes(size, "little"))
 
 
+@example(0, [-0.0, 0.0, math.inf, -math.inf, 1.0, -5e-324])
 @given(counts, st.lists(st.floats(allow_nan=False), min_size=6, max_size=6))
 def test_a_truth_frame_is_what_the_dbc_says_to_the_last_bit(counter, numbers):
     payload = EMULATOR.truth_payload(counter, Truth(*numbers))
     decoded_values = EMULATED.get_message_by_name("Truth").decode(payload, scaling=False)
     assert [*decoded_values.values()] == [counter, int.from_bytes(payload[4:8], "little"), *numbers]
     assert EMULATOR.truth_of(payload) == (counter, Truth(*numbers))
+    assert EMULATOR.truth_payload(*EMULATOR.truth_of(payload)) == payload
     with pytest.raises(FrameError):
         EMULATOR.truth_of(bytes([payload[0] ^ 1]) + payload[1:])
 
@@ -200,9 +205,15 @@ IDS_OF_2 = list(range(0x40, 0x50))
 @pytest.mark.parametrize(
     ("signal", "allowed", "refused", "words"),
     [
-        ("Small", (-5.0, 20.0, 20.2), (-5.3, 20.3, math.nan), "signal 'Small' of message 'One'; allowed: -5 to 20 m"),
+        (
+            "Small",
+            (-5.2, -5.0, 20.0, 20.2),
+            (-5.25, 20.25, math.nan),
+            "signal 'Small' of message 'One'; allowed: -5 to 20 m",
+        ),
         ("Real", (-2.0, 2.0), (2.5, math.nan, math.inf), "signal 'Real' of message 'One'; allowed: -2 to 2 m"),
-        ("Free", (-1014.0, 1033.5), (-1014.3, 1033.8, math.nan), "allowed: -1014 to 1033.5 m"),
+        # Rounded, half a step more would be the least raw value.
+        ("Free", (-1014.0, 1033.5), (-1014.25, 1033.75, math.nan), "allowed: -1014 to 1033.5 m"),
     ],
 )
 def test_a_value_beyond_the_limits_of_file_or_bits_is_refused_by_name(signal, allowed, refused, words):
@@ -260,6 +271,79 @@ def test_profile_1_gives_the_examples_of_autosar_for_data_id_0x123_and_alone_res
     frames = protected(FIRST, "e2e_1", [0x123])
     assert [frames.pack((alive, 0))[0] for alive in (0, 1)] == [0xCC, 0x91] and frames.alive_modulus == 15
     assert protected(FIRST, "e2e_2", IDS_OF_2).alive_modulus == protected(FIRST, "j1850", []).alive_modulus == 16
+
+
+@pytest.mark.parametrize("order", ["little_endian", "big_endian"])
+@pytest.mark.parametrize("profile", ["e2e_1", "e2e_5"])
+def test_a_crc_fills_whole_bytes_and_has_no_sign(profile, order):
+    bits, first = 8 if profile == "e2e_1" else 16, 8 if order == "little_endian" else 15
+    for start, length, how, allowed in (
+        *((start, bits, {}, start == first) for start in range(8, 16)),
+        *((first, length, {}, False) for length in (bits - 8, bits - 1, bits + 8)),
+        (first, bits, {"is_signed": True}, False),
+        (first, bits, {"conversion": IdentityConversion(is_float=True)}, False),
+    ):
+        signal = Signal("Crc", start, length, order, **how)
+        with contextlib.nullcontext() if allowed else pytest.raises(DbcError, match=f"{bits} bits, unsigned, whole"):
+            assert Crc(Message(1, "One", 8, []), signal, None, profile, [7]).begin == 1
+
+
+def test_profile_2_needs_a_count_of_four_bits_and_the_place_of_its_bits():
+    for start, length, allowed in ((8, 4, True), (12, 4, True), (8, 3, False), (8, 5, False)):
+        described = message(Crc=(0, 8), Alive=(start, length), Value=(16, 48))
+        with contextlib.nullcontext() if allowed else pytest.raises(DbcError, match="'alive' of 4 bits"):
+            payload = protected(described, "e2e_2", IDS_OF_2).pack((5, 2**48 - 1))
+            assert payload[0] == crccheck.crc.Crc8Autosar.calc(payload[1:] + bytes([IDS_OF_2[5]]))
+
+
+def test_data_ids_are_as_many_and_as_large_as_the_profile_has():
+    for profile, most, others in (("e2e_1", 0xFFFF, ""), ("e2e_5", 0xFFFF, ""), ("e2e_2", 0xFF, " 0" * 15)):
+        assert data_ids(f"{most}{others}", profile, 1)[0] == most and data_ids(f"0{others}", profile, 1)[0] == 0
+        for wrong in (f"{most + 1}{others}", f"-1{others}", f"{most}{others} 0", others, "", f"one{others}"):
+            if wrong or profile == "e2e_2":
+                with pytest.raises(DbcError, match=rf"allowed with profile {profile}; allowed: .* of 0 to {most:#x}"):
+                    data_ids(wrong, profile, 1)
+
+
+STATES = [triple for triple in itertools.product(range(-1, 4), repeat=3) if triple[1] >= 0]
+STATES = [triple for triple in STATES if len({raw for raw in triple if raw >= 0}) == sum(raw >= 0 for raw in triple)]
+
+
+@pytest.mark.parametrize(("off", "on", "fault"), STATES)
+def test_a_state_is_that_whose_raw_value_it_has_or_else_off_or_what_the_fault_code_says(off, on, fault):
+    described = message(Amplifier=(3, 2), Fault=(8, 2), Good=(12, 2))
+    fields = {name.lower(): described.get_signal_by_name(name) for name in ("Amplifier", "Fault", "Good")}
+    said = dict(zip(State, (off, on, fault), strict=True))
+    values = {"amplifier": said, "good": {False: 1, True: 2}}
+    frames = Frames(described, 1, fields, {}, values, Report, no_fault=2)
+    meanings = {raw: state for state, raw in said.items() if raw >= 0}
+    for raw, code, good in itertools.product(range(4), repeat=3):
+        expected = State.FAULT if fault < 0 and code != 2 else meanings.get(raw, State.OFF if off < 0 else None)
+        payload = described.encode({"Amplifier": raw, "Fault": code, "Good": good})
+        if expected is None:
+            with pytest.raises(FrameError, match="state"):
+                frames.unpack(payload)
+        else:
+            report = frames.unpack(payload)
+            assert (report.amplifier, report.fault, report.good) == (expected, code, good == 2)
+            assert frames.unpack(frames.pack(report)) == report
+
+
+@pytest.mark.parametrize("is_signed", [True, False])
+@pytest.mark.parametrize("scale", [0.5, -0.25])
+def test_an_x_that_wraps_is_the_one_of_its_turns_that_the_signal_has(is_signed, scale):
+    described = Message(
+        1, "One", 8, [Signal("X", 3, 6, is_signed=is_signed, conversion=LinearConversion(scale, 3, False))]
+    )
+    frames = Frames(described, 1, {"x": described.signals[0]}, {"x": 1e-3}, wraps=True)
+    raws = range(-32, 32) if is_signed else range(64)
+    held = [(raw * scale + 3) * 1e-3 for raw in raws]
+    assert frames.x_modulus == pytest.approx(64e-3 * abs(scale)) and frames.turn == pytest.approx((held[0], held[-1]))
+    assert frames.spans["x"] == pytest.approx((min(held), max(held)))
+    for turns in (-3, -1, 0, 2):
+        for x in held:
+            (found,) = frames.unpack(frames.pack((frames.wrapped(x + turns * frames.x_modulus),)))
+            assert found == pytest.approx(x, abs=1e-12)
 
 
 def test_data_ids_are_the_can_identifier_where_none_is_given():
