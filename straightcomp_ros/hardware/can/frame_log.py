@@ -279,8 +279,9 @@ def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]
     """
     number, notes, last = 0, [], None
     for number, frame in enumerate(frames, 1):
-        step_s = frame.timestamp - last.timestamp if last else 0.0
-        if last and frame.channel != last.channel:
+        last = last or frame
+        step_s = frame.timestamp - last.timestamp
+        if frame.channel != last.channel:
             raise HardwareError(
                 f"has frames of the board on {last.channel} and {frame.channel}, which are two boards' or one's twice; "
                 "allowed: one bus (--channel)"

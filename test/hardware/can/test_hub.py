@@ -13,7 +13,8 @@ from waiting import comes_true
 
 from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.hub import ERROR, FD, FD_FRAME, Faults, Frame, Hub
+from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
+from straightcomp_ros.hardware.can.hub import ERROR, FD, FD_FRAME, REMOTE, Faults, Frame, Hub, LinkCut
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE, frame_of
 from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.interface import HardwareError
@@ -218,3 +219,65 @@ def test_faults_in_the_hub_reach_the_nodes(make):
     world.send(sender, *(message(1, [number]) for number in range(200)))
     arrived = [one.data[0] for one in iter(lambda: receiver.recv(0.0), None)]
     assert arrived == sorted(arrived) and len(arrived) == 200 - faults.injected["drop"] < 150
+
+
+SENT = Frame(7, 0x181 | EXTENDED_ID, FD_FRAME, bytes(range(12)))
+
+
+def bits_of(frame):
+    return int.from_bytes(frame.data, "little")
+
+
+@pytest.mark.parametrize(
+    ("kind", "arrive"),
+    [
+        ("drop", lambda: []),
+        ("duplicate", lambda: [SENT, SENT]),
+        ("error_frame", lambda: [Frame(7, 0x20, ERROR, bytes(8)), SENT]),
+        ("remote", lambda: [Frame(7, SENT.identifier, REMOTE, b""), SENT]),
+        ("flood", lambda: [SENT._replace(identifier=7 | EXTENDED_ID)] * 20 + [SENT]),
+    ],
+)
+def test_a_fault_is_what_it_is_called_at_its_rate_and_its_seed_gives_it_again(kind, arrive):
+    faults, again = (Faults({kind: 0.25}, seed=5) for _ in range(2))
+    found = [faults(SENT) for _ in range(4000)]
+    assert found == [again(SENT) for _ in range(4000)]
+    assert found.count(arrive()) == faults.injected[kind] == pytest.approx(1000, abs=100)
+    assert found.count([SENT]) == 4000 - faults.injected[kind]
+    assert Faults({kind: 0.0})(SENT) == [SENT] and Faults({kind: 1.0})(SENT) == arrive()
+
+
+@pytest.mark.parametrize(
+    ("kind", "changed"),
+    [
+        ("corrupt", lambda one: (bits_of(one) ^ bits_of(SENT)).bit_count() in (1, 2) and len(one.data) == 12),
+        ("garble", lambda one: len(one.data) == 12 and len(set(one.data)) > 3),
+        ("truncate", lambda one: SENT.data.startswith(one.data) and len(one.data) < 12),
+        ("wrong_id", lambda one: one.data == SENT.data and (one.identifier ^ SENT.identifier).bit_count() == 1),
+    ],
+)
+def test_a_damaged_frame_is_damaged_in_all_the_ways_of_its_kind_and_in_no_other(kind, changed):
+    faults = Faults({kind: 1.0})
+    found = [one for _ in range(3000) for one in faults(SENT)]
+    assert len(found) == 3000 and all(changed(one) for one in found)
+    differences = {
+        "corrupt": {bits_of(one) ^ bits_of(SENT) for one in found} >= {1 << bit for bit in range(96)},
+        "garble": len({one.data for one in found}) == 3000,
+        "truncate": {len(one.data) for one in found} == set(range(12)),
+        "wrong_id": {one.identifier ^ SENT.identifier for one in found} == {1 << bit for bit in range(11)},
+    }
+    assert differences[kind]
+    field = "identifier" if kind == "wrong_id" else "data"
+    assert {one._replace(**{field: getattr(SENT, field)}) for one in found} == {SENT}
+
+
+def test_only_frames_with_one_identifier_are_swapped_and_a_fault_that_is_none_is_refused():
+    faults, other = Faults({"reorder": 1.0}), SENT._replace(identifier=0x182)
+    assert [faults(SENT), faults(SENT._replace(stamp_ns=8))] == [[], [SENT._replace(stamp_ns=8), SENT]]
+    assert [faults(SENT), faults(other), faults(other)] == [[], [SENT], [other, other]]
+    assert faults.injected == {"reorder": 2}
+    for rates, words in (({"drip": 0.1}, "'drip' is unknown"), ({"drop": 1.001}, "rate"), ({"drop": -1e-3}, "rate")):
+        with pytest.raises(ValueError, match=words):
+            Faults(rates)
+    with pytest.raises(LinkCut):
+        Faults({"cut": 1.0})(SENT)
