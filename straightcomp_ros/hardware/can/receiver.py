@@ -83,8 +83,10 @@ class Receiver:
         self._y_noise = wire.noise("y", stage.encoder.y_resolution)
         self._accepted: int | None = None
         """Count of the newest accepted frame; 0 for frames without."""
-        self._good: tuple[float, float, int] | None = None
-        """Newest good reading, and its number."""
+        self._good: tuple[float, float] | None = None
+        """Newest good reading."""
+        self._since = 0
+        """Samples from it to the newest accepted one."""
         self._truth: tuple[int, Truth | None] = (-1, None)
         self._handlers: dict[int, Callable[[bytes, int], None]] = {
             identifier: partial(self._receive, frames) for identifier, frames in wire.reports.items()
@@ -192,7 +194,7 @@ class Receiver:
             return
         if report.good and not self._is_near(x, y, ahead):
             raise FrameError("implausible")
-        self._accepted = alive
+        self._accepted, self._since = alive, self._since + ahead
         index = sequence.accept(report.number, ahead, arrival_ns)
         self.received += 1
         self._take_status(report, arrival_ns)
@@ -201,7 +203,7 @@ class Receiver:
         if not report.good:
             self.counts["encoders"] += 1
             return
-        self._good, self._homed_ns = (x, y, index), None
+        self._good, self._since, self._homed_ns = (x, y), 0, None
         self.ambiguous = ambiguous
         if self.clock.settled:
             self._deliver(x, y, index, arrival_ns)
@@ -215,8 +217,8 @@ class Receiver:
         """
         turn, (least, largest) = self._x_modulus, self._travel
         if self._good is not None:
-            last_x, _, number = self._good
-            ahead += (self.sequence.index or 0) - number
+            last_x, _ = self._good
+            ahead += self._since
             if self._x_noise + self._x_step * ahead < 0.5 * turn:
                 return last_x + math.remainder(x - last_x, turn), self.ambiguous
         if self._homed_ns is not None:
@@ -232,8 +234,8 @@ class Receiver:
         """Whether stage and platform can have come here since the last good reading."""
         if self._good is None:
             return True
-        last_x, last_y, number = self._good
-        ahead += (self.sequence.index or 0) - number
+        last_x, last_y = self._good
+        ahead += self._since
         near_x: bool = abs(x - last_x) <= self._x_noise + self._x_step * ahead
         near_y: bool = abs(y - last_y) <= self._y_noise + self._y_step * ahead
         return near_x and near_y

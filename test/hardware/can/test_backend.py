@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from can_boards import CLASSIC, FD, FOREIGN, PERIOD, SPLIT, STAGE, START
+from can_boards import BARE, CLASSIC, FD, FOREIGN, PERIOD, SPLIT, STAGE, START
 from forgery import forged
 from surveys import GUIDE
 
@@ -408,6 +408,53 @@ def test_a_command_carries_the_number_of_the_sample_that_it_answers(running):
     assert {(command.enable, command.reset) for command in commands} == {(True, False)}
     first = commands[0].alive
     assert [command.alive for command in commands] == [(first + number) % 15 for number in range(6)]
+
+
+@pytest.mark.parametrize("can", [CLASSIC, FD, SPLIT, BARE], ids=["classic", "fd", "split", "bare"])
+def test_the_current_of_a_sample_is_the_commanded_one_only_where_the_board_measures_none(can):
+    world = World(can).on()
+    world.run(0.02, current=0.2)
+    assert world.samples[-1].current == pytest.approx(0.2, abs=0.005)
+    world.host.write(0.3, world.now)
+    assert world.host._receiver.current == pytest.approx(0.3 if can is BARE else 0.2, abs=0.005)
+    # Of a command in two messages one is not enough.
+    send = world.host._link.send
+    world.host._link.send = lambda identifier, *frame, **how: False
+    world.host.write(-0.4, world.now)
+    world.host._link.send = send
+    assert world.host._receiver.current == pytest.approx(0.3 if can is BARE else 0.2, abs=0.005)
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_command_of_which_a_message_is_lost_counts_on_and_is_not_applied(lost):
+    world = World(SPLIT).on()
+    world.host.write(0.1, world.now)
+    sent, names = [], world.wire.commands
+
+    def send(identifier, payload, *, fd):
+        sent.append(next(one for one in names if one.identifier == identifier).unpack(payload).alive)
+        return identifier != names[lost].identifier
+
+    world.host._link.send = send
+    for current in (0.2, 0.3):
+        world.host.write(current, world.now)
+    assert sent[2] == sent[3] == (sent[0] + 1) % 15 == (sent[1] + 1) % 15
+    assert world.host.applied_current == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("can", "oldest"), [(SPLIT, 12), (FOREIGN, 100), (FD, 100)], ids=["split", "foreign", "fd"])
+def test_the_board_answers_samples_within_its_timeout_and_no_more_than_the_echo_tells_from_future_ones(can, oldest):
+    # 100 samples; an echo of 15 counts tells fewer.
+    found = Board(can, SimulatedParameters(command_timeout=0.05), STAGE, GUIDE, lambda *frame: None)
+    found.start(START)
+    found.cycle(START + 200 * PERIOD)
+    for number, back in enumerate((0, 1, oldest, oldest + 1)):
+        echo = (found.counter - back) % found._wire.echo_modulus
+        for frames in found._wire.commands:
+            found.receive(
+                frames.identifier, frames.pack(Command(number, False, False, 0.0, echo)), START + 200 * PERIOD
+            )
+        assert found.refused_commands == (back > oldest)
 
 
 def test_a_command_that_was_not_sent_neither_counts_nor_acts(running):

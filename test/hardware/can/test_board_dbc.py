@@ -171,6 +171,14 @@ EDITED = [
     (" 801 ", " 1960 ", {"node": 127}, NODE),
     ("35|4@0+ (1,0) [0|14]", "35|4@0+ (1,0) [0|15]", protected("y", crc=""), COUNTS),
     ("", "", protected("command", "e2e_2", alive="", data_id=IDS_OF_2), "needs a counter 'alive' of 4 bits"),
+    ("23|8@0+ (1,0) [0|255]", "23|8@0+ (1,0) [0|2]", {}, "'DSP_MEAS' counts to 3; allowed: >= 4 counts"),
+    (" 2566849025 ", " 2684354559 ", {"node": 2}, "moves message 'PC_SET' .* to 0x20000000; allowed: <= 0x1fffffff"),
+    (
+        "47|8@0+ (1,0) [0|255]",
+        "47|8@0+ (1,0) [0|99]",
+        {},
+        "'SET_ECHO' .* counts to 100; allowed: a divisor of the 256 of the samples",
+    ),
 ]
 
 
@@ -179,6 +187,59 @@ def test_a_file_that_does_not_fit_the_stage_the_node_or_itself_is_refused(edited
     file = FOREIGN_FILE if old in FOREIGN_FILE.with_suffix(".dbc").read_text() else SPLIT_FILE
     with pytest.raises(ParameterError, match=words):
         board_of(file, dbc=edited(old, new, file), **changes)
+
+
+def test_identifiers_and_counts_may_go_up_to_their_ends(edited):
+    counts = "23|8@0+ (1,0) [0|255]", "23|8@0+ (1,0) [0|3]"
+    assert foreign(dbc=edited(*counts), **{"wire/echo/signal": ""}).sample_modulus == 4
+    for old, new in ((" 2566849025 ", " 2684354558 "), (" 801 ", " 2046 ")):
+        assert {0x9FFFFFFF, 0x7FF} & {one.identifier for one in wires_frames(foreign(dbc=edited(old, new), node=2))}
+
+
+def wires_frames(wire):
+    return [*wire.reports.values(), *wire.commands]
+
+
+def test_the_number_of_a_sample_in_frames_of_its_own_needs_a_count_in_the_samples_that_divides_it(edited):
+    own = share_path("config/straightcomp.yaml")
+    with pytest.raises(ParameterError, match=r"wire.counter.message': 'CoilCurrent' is not allowed without"):
+        classic(sample=can_parameters.ProtectionParameters("e2e_1", "EncoderCrc"))
+    # Seven do not divide 15 * 2**28.
+    seven = edited("8|4@1+ (1,0) [0|14]", "8|4@1+ (1,0) [0|6]", own)
+    with pytest.raises(ParameterError, match=r"wire.counter.message'"):
+        CanParameters(dbc=seven, wire=shipped_wire(fd=False), fd=False)
+
+
+def test_state_and_heartbeat_come_as_often_as_the_file_says_and_else_with_every_tenth_sample_and_50_ms(edited):
+    timed = 'BA_ "GenMsgCycleTime" BO_ '
+    # One page of two has the state.
+    assert foreign().intervals(2000.0) == (pytest.approx(0.01), 0.0)
+    assert foreign().intervals(1000.0)[0] == pytest.approx(0.02)
+    unsaid = foreign(dbc=edited(f"{timed}801 5;", ""))
+    assert unsaid.homes["amplifier"].every == 10 and unsaid.intervals(4000.0)[0] == pytest.approx(0.005)
+    rare = foreign(dbc=edited(f"{timed}801 5;", f"{timed}801 0.2;"))
+    assert rare.homes["amplifier"].every == 1
+    assert classic().make_wire().intervals(2000.0) == (pytest.approx(0.0005), pytest.approx(0.05))
+    assert [frames.every for frames in classic().make_wire().reports.values()] == [1, 10]
+
+
+def test_two_readings_at_rest_differ_by_two_and_a_half_counts_of_the_coarser_of_frame_and_encoder():
+    wire = SPLIT.make_wire()
+    assert (wire.noise("x", 0.0), wire.noise("y", 0.0)) == pytest.approx((2.5e-7, 1.25e-7))
+    assert (wire.noise("x", 1e-6), wire.noise("y", 4e-8)) == pytest.approx((2.5e-6, 1.25e-7))
+    # A float has no counts.
+    assert foreign().noise("x", 1e-7) == pytest.approx(2.5e-7)
+
+
+def test_a_current_of_its_own_message_is_of_the_sample_before():
+    lags = {
+        "classic": CanParameters(fd=False).make_wire(),
+        "fd": CanParameters().make_wire(),
+        "split": SPLIT.make_wire(),
+    }
+    lags |= {"bare": BARE.make_wire(), "foreign": foreign()}
+    found = {name: wire.meaning.readback_lag for name, wire in lags.items()}
+    assert found == {"classic": 1, "fd": 0, "split": 1, "bare": 0, "foreign": 0}
 
 
 def names(several):

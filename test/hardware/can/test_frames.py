@@ -122,6 +122,31 @@ def test_a_reading_beyond_the_limits_of_the_dbc_is_not_good():
     assert not FD.sample.unpack(forged(FD.sample, payload, PlatformY=-(2**19))).good
 
 
+@pytest.mark.parametrize("is_signed", [True, False])
+@pytest.mark.parametrize("scale", [0.5, -0.25])
+def test_limits_are_those_of_the_value_with_its_offset(is_signed, scale):
+    signals = [
+        Signal(name, start, 6, is_signed=is_signed, conversion=LinearConversion(scale, 3, False), minimum=-1, maximum=7)
+        for name, start in (("X", 1), ("Current", 9))
+    ]
+    described = Message(1, "One", 2, signals)
+    frames = Frames(
+        described, 1, dict(zip(("x", "current"), signals, strict=True)), {"x": 1.0, "current": 1.0}, None, Report
+    )
+    for raw in range(-32, 32) if is_signed else range(64):
+        value = raw * scale + 3
+        found = frames.unpack(described.encode({"X": raw, "Current": raw}, scaling=False, strict=False))
+        assert found.x == value and found.good == (-1 <= value <= 7)
+        assert found.current == value if found.good else math.isnan(found.current)
+
+
+def test_the_faults_of_a_board_are_those_of_the_file():
+    for name in ("Encoder", "EncoderFd"):
+        choices = DBC.get_message_by_name(name).get_signal_by_name("BoardFault").choices
+        named = {raw: str(words).replace(" ", "_").upper() for raw, words in choices.items()}
+        assert {int(fault): fault.name for fault in BoardFault} == named
+
+
 @BUSES
 def test_any_two_wrong_bits_are_found(wire):
     payload = wire.sample.pack(Report(4, 49, 1.2345, -67.8e-6, 0.9, State.ON, 0, True, True), 0)
@@ -314,10 +339,12 @@ def test_a_state_is_that_whose_raw_value_it_has_or_else_off_or_what_the_fault_co
     described = message(Amplifier=(3, 2), Fault=(8, 2), Good=(12, 2))
     fields = {name.lower(): described.get_signal_by_name(name) for name in ("Amplifier", "Fault", "Good")}
     said = dict(zip(State, (off, on, fault), strict=True))
-    values = {"amplifier": said, "good": {False: 1, True: 2}}
+    fields["good"].is_signed = True
+    described.refresh()
+    values = {"amplifier": said, "good": {False: -2, True: 1}}
     frames = Frames(described, 1, fields, {}, values, Report, no_fault=2)
     meanings = {raw: state for state, raw in said.items() if raw >= 0}
-    for raw, code, good in itertools.product(range(4), repeat=3):
+    for raw, code, good in itertools.product(range(4), range(4), range(-2, 2)):
         expected = State.FAULT if fault < 0 and code != 2 else meanings.get(raw, State.OFF if off < 0 else None)
         payload = described.encode({"Amplifier": raw, "Fault": code, "Good": good})
         if expected is None:
@@ -325,8 +352,11 @@ def test_a_state_is_that_whose_raw_value_it_has_or_else_off_or_what_the_fault_co
                 frames.unpack(payload)
         else:
             report = frames.unpack(payload)
-            assert (report.amplifier, report.fault, report.good) == (expected, code, good == 2)
+            assert (report.amplifier, report.fault, report.good) == (expected, code, good == 1)
             assert frames.unpack(frames.pack(report)) == report
+            sent = described.decode(frames.pack(report))["Amplifier"]
+            unmarked = State.OFF if expected is State.FAULT and fault < 0 else expected
+            assert sent == said[unmarked] or said[unmarked] < 0
 
 
 @pytest.mark.parametrize("is_signed", [True, False])

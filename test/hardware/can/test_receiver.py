@@ -130,6 +130,16 @@ def test_a_boot_up_forgets_the_counter_of_the_board_before(either):
     assert either.samples(300).newest(100) == list(range(200, 300))
 
 
+def test_the_commanded_current_is_none_before_the_first_command_and_a_bad_reading_is_waited_over():
+    board = Board(BARE).settled()
+    assert board.sample()[1].current == 0.0
+    moving = Board().settled()
+    for _ in range(3):
+        moving.sample(good=False)
+    # Four samples of 1000 counts after the last good one.
+    assert moving.sample(x=4003) is None and moving.sample(x=5002)[1].x == pytest.approx(5002 * COUNT)
+
+
 def test_samples_that_are_not_fetched_are_dropped_and_counted_oldest_first():
     board = Board(sample_memory=10).samples(500)
     assert board.newest(500) == list(range(490, 500))
