@@ -223,6 +223,18 @@ def test_state_and_heartbeat_come_as_often_as_the_file_says_and_else_with_every_
     assert [frames.every for frames in classic().make_wire().reports.values()] == [1, 10]
 
 
+@pytest.mark.parametrize("role", ["y", "current"])
+def test_a_unit_is_its_prefix_of_the_si_unit(role):
+    si = "A" if role == "current" else "m"
+    prefixes = {"m": 1e-3, "u": 1e-6, "\N{MICRO SIGN}": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
+    units = (
+        {si: 1.0} | {prefix + si: factor for prefix, factor in prefixes.items()} | ({"nm": 1e-9} if si == "m" else {})
+    )
+    for unit, factor in units.items():
+        spans = foreign(**{f"wire/{role}/unit": unit}).sample.spans
+        assert spans[role][1] == pytest.approx(factor * (5 if si == "A" else 2000), rel=1e-12)
+
+
 def test_two_readings_at_rest_differ_by_two_and_a_half_counts_of_the_coarser_of_frame_and_encoder():
     wire = SPLIT.make_wire()
     assert (wire.noise("x", 0.0), wire.noise("y", 0.0)) == pytest.approx((2.5e-7, 1.25e-7))

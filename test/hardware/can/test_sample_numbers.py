@@ -191,6 +191,17 @@ def test_numbers_start_anew_after_a_silence_that_a_board_s_only_count_cannot_tel
         assert found.jumps == anew and (found.index is None) == anew
 
 
+@pytest.mark.parametrize(("modulus", "most"), [(15, 13), (16, 13), (4, 2), (0, 1)])
+def test_until_the_clock_has_settled_no_more_samples_may_have_passed_than_the_count_tells(modulus, most):
+    for arrival_ns in (0, PERIOD // 2):
+        found = SampleNumbers(Mock(settled=False), PERIOD, modulus)
+        found.accept(7, 1, 0)
+        ahead = [found.ahead((7 + k) % modulus if modulus else None, arrival_ns) for k in range(1, modulus or 2)]
+        assert ahead == [*range(1, most + 1), *range(most + 1 - modulus, 0)]
+    # After a silence the time counts.
+    assert found.ahead(0 if modulus else None, 12 * PERIOD) == 1 and found.jumps == 1
+
+
 @pytest.mark.parametrize("lost", [0, 1, 3])
 def test_frames_without_a_count_that_are_late_singly_lose_nothing_and_eight_in_a_row_show_what_was_lost(lost):
     found, late = SampleNumbers(CLOCK, PERIOD, 0), (0.0, 3.0, 0.2)

@@ -13,7 +13,7 @@ from tiers import nightly
 
 from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
-from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError
+from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, refuse_signal
 from straightcomp_ros.hardware.can.frames import Command, Report
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 from straightcomp_ros.hardware.interface import State
@@ -215,6 +215,7 @@ def test_a_counter_that_the_firmware_cannot_have_is_refused(board):
     text = with_line("SET_CNT : 24|8@1+ (1,0) [0|255]", "SET_CNT : 24|36@1+ (1,0) [0|0]").replace("SET: 4", "SET: 8")
     with pytest.raises(DbcError, match="'SET_CNT' of message 'SET' counts beyond 32 bits"):
         frames_in_c([board(text).make_wire()])
+    assert frames_in_c([board(text.replace("24|36", "24|32")).make_wire()])
 
 
 def coded(none):
@@ -361,6 +362,17 @@ def test_a_file_that_is_cut_off_anywhere_within_a_statement_is_refused(board):
             # Whole up to here: nothing that the wire needs is missing.
             assert 'SET_CNT : 24|8@1+ (1,0) [0|255] "" B' in text[:end]
     assert 0 < allowed < 30
+
+
+@pytest.mark.parametrize("place", ["504|8@1+", "511|8@0+", "0|512@1+"])
+def test_a_signal_may_lie_anywhere_in_the_longest_frame(tmp_path, place):
+    file = tmp_path / "long.dbc"
+    file.write_text(f'VERSION ""\nBU_: X\nBO_ 300 LONG: 64 X\n SG_ LAST : {place} (1,0) [0|0] "" X\n')
+    (signal,) = Dbc(str(file)).message("LONG").signals
+    refuse_signal(Dbc(str(file)).message("LONG"), signal)
+    file.write_text(file.read_text().replace("504|8", "505|8").replace("511|8", "504|8").replace("|512", "|513"))
+    with pytest.raises(DbcError):
+        refuse_signal(Dbc(str(file)).message("LONG"), Dbc(str(file)).message("LONG").signals[0])
 
 
 EVIL = "*/ int8_t x; }; __attribute__((constructor)) static void pwn(void){} struct z { /*"
