@@ -248,6 +248,14 @@ def test_commands_that_stop_are_found_where_the_board_has_no_timeout_and_not_bef
         world.off_again()
 
 
+@pytest.mark.parametrize(("problem", "end"), [("", " ms"), ("CAN can0: gone", " ms (CAN can0: gone)")])
+def test_a_silence_says_what_the_bus_lacks_if_it_is_known(problem, end):
+    world = World(FD).on()
+    world.to_host, world.host._link.problem = False, problem
+    world.run(0.01)
+    assert world.host.fault[0] is Fault.SAMPLE_TIMEOUT and world.host.fault[1].endswith(end)
+
+
 def test_a_single_command_that_is_lost_is_no_silence_however_short_the_timeout():
     world = World(replace(CLASSIC, command_timeout=1e-4))
     world.board.machine.command_timeout_ns = 10**12

@@ -91,6 +91,15 @@ def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_pat
     log.close()
 
 
+@pytest.mark.parametrize(("channel", "name"), [("/run/a bus.1", "a_bus_1"), ("/", "can"), ("", "can")])
+def test_a_channel_has_a_name_that_candump_can_read(tmp_path, channel, name):
+    log = FrameLog(tmp_path / "bus.log", channel)
+    log.start()
+    log.put(message(1))
+    log.close()
+    assert [frame.channel for frame in RecordedBus(log.file)] == [name]
+
+
 def test_an_earlier_log_is_kept_and_frames_beyond_the_queue_are_counted(tmp_path):
     logs = [FrameLog(tmp_path / "bus.log", "can0") for _ in range(3)]
     assert [log.file.name for log in logs] == ["bus.log", "bus-1.log", "bus-2.log"]
@@ -140,6 +149,7 @@ def test_a_link_records_what_comes_in_and_what_goes_out(tmp_path):
     link.close()
     read = list(RecordedBus(link.log.file))
     assert [(frame.arbitration_id, frame.is_rx) for frame in read] == [(0x301, False)] + [(0x381, True)] * 5
+    assert {frame.channel for frame in read} == {"link"}
     assert abs(read[0].timestamp - time.time()) < 300
 
 
@@ -159,6 +169,7 @@ def test_frames_are_replayed_at_the_distances_of_their_stamps_by_the_speed(monke
     assert [at for at, _ in sent] == pytest.approx([504.0, 504.25, 504.25, 505.5], abs=1e-6)
     assert all(message.channel is None and not message.is_rx for _, message in sent)
     assert frames[0].channel == "can7"
+    assert play([], bus, 2.0) == 0
 
 
 @pytest.mark.parametrize("damage", ["(1700000001.0", "(nan) can0 701#05 R\n", "(1e300) can0 701#05 R\n"])

@@ -5,15 +5,17 @@ import io
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import cantools
 import pytest
+from cantools.database.can import Signal
 from places import REPOSITORY
 from tiers import nightly
 
 from straightcomp_ros.doctor.stage_findings import board_findings
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
-from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, refuse_signal
+from straightcomp_ros.hardware.can.dbc_file import Dbc, DbcError, refuse_signal, selectors
 from straightcomp_ros.hardware.can.frames import Command, Report
 from straightcomp_ros.hardware.can.frames_in_c import frames_in_c
 from straightcomp_ros.hardware.interface import State
@@ -362,6 +364,17 @@ def test_a_file_that_is_cut_off_anywhere_within_a_statement_is_refused(board):
             # Whole up to here: nothing that the wire needs is missing.
             assert 'SET_CNT : 24|8@1+ (1,0) [0|255] "" B' in text[:end]
     assert 0 < allowed < 30
+
+
+@pytest.mark.parametrize("selector", ["NONE", "A", "B"])
+def test_a_multiplexer_that_is_not_there_or_chooses_its_own_page_is_refused(selector):
+    page = {"multiplexer_ids": [1]}
+    signals = [
+        Signal("A", 0, 4, multiplexer_signal=selector, **page),
+        Signal("B", 4, 4, multiplexer_signal="A", **page),
+    ]
+    with pytest.raises(DbcError, match=r"'.' of message 'ONE' has no multiplexer"):
+        selectors(SimpleNamespace(name="ONE", signals=signals), signals[0])
 
 
 @pytest.mark.parametrize("place", ["504|8@1+", "511|8@0+", "0|512@1+"])
