@@ -530,6 +530,7 @@ def test_a_board_that_is_off_is_switched_on_right_after_a_reset_and_no_command_s
 
 def test_what_is_not_ready_says_what_is_missing(world):
     host = world.host
+    assert host.unreferenced == "nothing has come from the board yet"
     with pytest.raises(HardwareError, match="nothing"):
         host.enable()
     world.run(0.2)
@@ -642,7 +643,7 @@ def test_a_board_that_loses_the_reference_of_x_switches_off_and_says_so_until_it
     machine.unreferenced = "the encoder has lost its power"
     running.run(0.02)
     assert running.board.amplifier is State.FAULT and running.board.fault is BoardFault.ENCODER
-    assert running.host.state is State.FAULT and running.host.unreferenced
+    assert running.host.state is State.FAULT and running.host.unreferenced == "the board reports no reference"
     machine.unreferenced = ""
     running.run(0.02)
     assert running.host.unreferenced == ""
