@@ -1,0 +1,181 @@
+"""What finds the cause of an error, compared with sums, loops and closed forms."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import rayleigh
+
+from straightcomp_ros.analysis import causes
+from straightcomp_ros.analysis.causes import Line, comes_and_goes, dragging, locked_to_x, mains, mode_of, of_error
+from straightcomp_ros.analysis.judged_motion import JudgedMotion
+
+T = 5e-4
+TIME = np.arange(16_000) * T
+RANDOM = np.random.default_rng(1)
+THERE_AND_BACK = 1.0 - np.abs(TIME - 4.0) / 4.0
+
+
+def motion(error, period=T, **changes) -> JudgedMotion:
+    time = np.arange(error.size) * period
+    fixed = {"time": time, "x": 0.2 * time, "r": 0.0 * time, "current": 0.0 * time, "count": 0.0}
+    values = {**fixed, "error": error, **changes}
+    return JudgedMotion(**{"y": values["r"] - error, **values})
+
+
+def sine(frequency, period=T, size=16_000):
+    return 0.3e-6 * np.sin(2.0 * np.pi * frequency * period * np.arange(size) + 1.0)
+
+
+@pytest.mark.parametrize("begin", [-3.0, 2.0])
+def test_the_spectrum_over_uneven_places_is_that_of_the_sum_over_all_samples(begin):
+    along = begin + np.sort(RANDOM.uniform(0.0, 1.7, 1000))
+    error = 0.7 + np.sin(2.0 * np.pi * 7.3 * along) + RANDOM.standard_normal(along.size)
+    tried, spectrum = causes._spectrum(along, error, 20.0)
+    # A quarter of the resolution lies between two frequencies: no line loses more than 3 % between them.
+    assert np.diff(tried) == pytest.approx(0.25 / np.ptp(along), rel=2e-3) and tried[-1] > 40.0
+    turns = np.exp(-2j * np.pi * np.outer(tried, along))
+    near = tried <= 20.0
+    expected = 2.0 / along.size * np.abs(turns @ (error - error.mean()))
+    assert spectrum[near] == pytest.approx(expected[near], abs=0.025)
+    line = causes._strongest(tried, spectrum, 1.0, math.inf)
+    assert line == pytest.approx((expected.max(), 7.3), rel=0.02)
+
+
+def test_the_strongest_line_is_that_of_a_loop_over_the_frequencies():
+    tried, spectrum = 0.5 * np.arange(40), RANDOM.uniform(size=40)
+    for low, high in RANDOM.integers(0, 40, (50, 2)) * 0.5:
+        inside = [(amplitude, at) for at, amplitude in zip(tried, spectrum, strict=True) if low <= at <= high]
+        assert causes._strongest(tried, spectrum, low, high) == max(inside, default=(0.0, low))
+
+
+def test_the_background_of_a_line_is_the_median_from_two_widths_of_a_line_to_half_of_its_frequency():
+    tried, at = np.arange(400) * 0.25, 40.0
+    for length in (1.0, 0.5):
+        expected = 0.5 * (2.0 / length + 0.5 * at)
+        assert causes._background(tried, np.abs(tried - at), length, at) == pytest.approx(expected, abs=0.25)
+    # Fewer than four waves have nothing around them.
+    assert causes._background(tried, tried, 4.0 / at, at) == math.inf > causes._background(tried, tried, 5.0 / at, at)
+
+
+def test_a_line_stands_out_of_noise_within_the_resolution_of_the_length_only():
+    error, length = sine(100.0) + 0.3e-6 * 5.0 * RANDOM.standard_normal(TIME.size), float(np.ptp(TIME))
+    assert all(causes._stands_out(TIME, error, 100.0 + away / length) for away in (-0.9, 0.0, 0.9))
+    assert not any(causes._stands_out(TIME, error, 100.0 + away / length) for away in (-3.0, 3.0, 40.0))
+    assert [causes._stands_out(TIME, error, 100.0, least) for least in (0.25e-6, 0.4e-6)] == [True, False]
+
+
+@pytest.mark.parametrize("grid", [50.0, 60.0])
+def test_each_line_of_a_grid_is_of_the_mains_within_the_grids_tolerance(grid):
+    for multiple in range(1, 7):
+        frequency = multiple * grid
+        for off, is_mains in ((0.997, True), (1.003, True), (0.993, False), (1.007, False)):
+            found = mains(motion(sine(off * frequency)), Line(0.3e-6, frequency))
+            assert (found is not None) == is_mains, (frequency, off)
+            if found:
+                assert found == pytest.approx((0.3e-6, off * frequency), rel=0.05)
+    assert mains(motion(sine(7.0 * grid)), Line(0.3e-6, 7.0 * grid)) is None
+
+
+@pytest.mark.parametrize(
+    ("other", "amplitude", "is_mains"),
+    [
+        (100.0, 0.15, True),
+        (100.0, 0.07, False),
+        (150.0, 0.5, False),
+        (200.0, 0.15, True),
+        (30.0, 0.5, False),
+    ],
+)
+def test_a_line_of_ten_samples_is_of_the_mains_by_a_line_that_a_symmetric_limit_cycle_has_not(
+    other, amplitude, is_mains
+):
+    noise = 1e-10 * RANDOM.standard_normal(16_000)
+    error = sine(50.0, 2e-3) + amplitude * sine(other, 2e-3) + noise
+    assert (mains(motion(error, 2e-3), Line(0.3e-6, 50.0)) is not None) == is_mains
+
+
+def test_a_line_is_of_the_nearest_mode_within_a_tenth():
+    assert [mode_of(one, (200.0, 80.0)) for one in (73.0, 87.0, 185.0, 215.0)] == [80.0, 80.0, 200.0, 200.0]
+    assert [mode_of(one, (200.0, 80.0)) for one in (70.0, 90.0, 140.0, 225.0)] == [None] * 4
+    assert mode_of(80.0, ()) is None
+
+
+def beating(depth, size=16_000):
+    """A line whose amplitude goes evenly from 1 - depth to 1 + depth and back, a line beside it, and an offset."""
+    slow = 4.0 * np.abs((np.arange(size) * T * 1.5) % 1.0 - 0.5) - 1.0
+    return (1.0 + depth * slow) * sine(60.0, size=size) + 3.0 * sine(90.0, size=size) + 1e-6
+
+
+def test_a_line_comes_and_goes_from_half_of_the_spread_of_noise_behind_a_resonance_on():
+    low, middle, high = rayleigh.ppf([0.25, 0.5, 0.75])
+    # Between the quartiles of an even distribution lies half of its range.
+    half = 0.5 * (high - low) / middle
+    found = [comes_and_goes([beating(share * half)], 60.0, T) for share in (0.0, 0.9, 1.1)]
+    assert found == [False, False, True]
+    # A line that wanders by a tenth does not come and go.
+    wandering = 0.3e-6 * np.sin(2.0 * np.pi * np.cumsum(60.0 + 6.0 * np.sin(TIME)) * T)
+    assert not comes_and_goes([wandering], 60.0, T)
+    # Of several pieces the steadier half decides.
+    none, little, much = beating(0.0), beating(0.9 * half), beating(2.0 * half)
+    for pieces, expected in (
+        ((much, none), False),
+        ((much, none, much), False),
+        ((much, beating(1.3 * half), little), True),
+        ((much, much, little, none), False),
+        ((much, much, much, beating(1.1 * half)), True),
+        ((0.0 * none,), False),
+    ):
+        assert comes_and_goes(pieces, 60.0, T) == expected
+
+
+def test_the_velocity_is_over_two_milliseconds_and_relative_to_its_rms():
+    error = RANDOM.standard_normal(500)
+    for period, span in ((5e-4, 4), (1e-3, 2), (0.01, 1)):
+        moved = np.array([error[k + span] - error[k] for k in range(500 - span)])
+        assert causes._relative_velocity(error, period) == pytest.approx(moved / math.sqrt(np.mean(moved**2)))
+    assert not causes._relative_velocity(np.ones(9), T).any() and not causes.stick_slip(error[:3], T)
+
+
+def test_bursts_are_those_of_a_loop_over_the_jumps():
+    outcomes = set()
+    for _ in range(300):
+        velocity = RANDOM.standard_t(2.0, 40) * (RANDOM.uniform(size=40) < RANDOM.uniform(0.2, 1.0))
+        jumps = [at for at, one in enumerate(velocity) if abs(one) > 2.0]
+        stands = [abs(one) < 0.2 for one in velocity]
+        between = [
+            sum(stands[a + 1 : b]) / max(1, b - a - 1)
+            for a, b in itertools.pairwise(jumps)
+            if velocity[a] * velocity[b] < 0.0
+        ]
+        expected = bool(between) and np.mean(between) < 0.25 * np.mean(stands)
+        assert causes._in_bursts(velocity) == expected
+        outcomes.add(expected)
+    assert outcomes == {True, False}
+
+
+@pytest.mark.parametrize(
+    ("friction", "drag", "found"),
+    [(0.03, 0.05, 0.05), (-0.03, -0.05, 0.05), (0.0, 0.05, 0.05), (0.06, 0.05, 0.0), (0.0, 0.0, 0.0)],
+)
+def test_drag_is_told_from_friction_an_offset_and_a_spring(friction, drag, found):
+    r, ways = 10e-6 * np.sin(6.0 * np.pi * THERE_AND_BACK), np.where(TIME < 4.0, 1.0, -1.0)
+    error = np.where(np.isin(np.arange(TIME.size) % 8000, range(100)), 2e-6, 1e-9)
+    current = 0.2 + 500.0 * r + friction * np.sign(np.gradient(r)) + drag * ways
+    run = {"r": r, "x": THERE_AND_BACK, "y": r, "current": current}
+    assert dragging(motion(error, **run)) == pytest.approx(found, abs=1e-3)
+    # Neither an error that is made everywhere, nor a current that mostly does something else.
+    assert dragging(motion(3e-6 + error, **run)) == 0.0
+    assert dragging(motion(error, **{**run, "current": current + 0.1 * np.sin(40.0 * TIME)})) == 0.0
+    # Nor strokes of one way, nor a stage that stands.
+    assert (
+        dragging(motion(error, **{**run, "x": 0.2 * TIME})) == dragging(motion(error, **{**run, "x": 0.0 * r})) == 0.0
+    )
+
+
+def test_white_noise_has_no_cause_whether_the_stage_makes_strokes_or_not():
+    noise = 1e-7 * RANDOM.standard_normal(TIME.size)
+    for x in (THERE_AND_BACK, 0.2 * TIME, 0.1 * np.sin(1e-6 * TIME), 1e-7 * np.round(0.5 * np.sin(TIME))):
+        run = motion(noise, x=x, r=1e-5 * np.sin(TIME))
+        assert of_error(run) == causes.UNKNOWN and locked_to_x(run) is None
