@@ -6,10 +6,17 @@ import math
 import numpy as np
 import pytest
 from bag_of_rows import bag_of_rows
+from scipy.stats import norm
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis import current_path as path_module
-from straightcomp_ros.analysis.current_path import Recording, current_path, read_recording
+from straightcomp_ros.analysis.current_path import (
+    Recording,
+    current_path,
+    huber_weights,
+    read_recording,
+    robust_regression,
+)
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.model.converters import DriveParameters
 from straightcomp_ros.parameters.yaml_text import dump_yaml
@@ -80,11 +87,13 @@ def test_a_current_that_no_amplifier_explains_is_interpolated():
     np.testing.assert_allclose(path.before[:-1] + path.after[:-1], noise[:-1] + noise[1:])
 
 
-def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0), parameters="", back=0):
-    """A bag of encoder and command at 2 kHz, whose clock is set back by ``back`` samples in its middle."""
-    numbers = {ENCODER: lambda k: (0.0, y[k], math.nan, current[k]), COMMAND: lambda k: (0.01,)}
+def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0), parameters="", back=0, silent=()):
+    """A bag of encoder and command at 2 kHz, whose clock is set back by ``back`` samples in its middle; ``silent``
+    samples have no command."""
+    numbers = {ENCODER: lambda k: (0.0, y[k], math.nan, current[k]), COMMAND: lambda k: (1e-6 * k,)}
     stamp = lambda k: 10**9 + 500_000 * (k - back * (2 * k > len(y)))  # noqa: E731
     kept = ((stream, k) for k in range(len(y)) if k not in lost for stream in streams)
+    kept = (one for one in kept if one[0] is not COMMAND or one[1] not in silent)
     return bag_of_rows(bag, ((stream, stamp(k), numbers[stream](k)) for stream, k in kept), parameters)
 
 
@@ -117,6 +126,83 @@ def test_the_longest_stretch_without_a_loss_is_used(tmp_path):
     recording = read_recording(written(tmp_path / "bag", MOVING, ON, lost=range(1000, 1001)))
     assert (len(recording.y), recording.total) == (5000 - 1001 - 10, 4999)
     np.testing.assert_allclose(recording.y, MOVING[1011:])
+    assert recording.duration == pytest.approx(3989 * PERIOD)
+
+
+def test_a_sample_without_a_command_has_the_one_before_and_none_before_the_first(tmp_path):
+    silent = (*range(30), *range(2000, 2004))
+    recording = read_recording(written(tmp_path / "bag", MOVING, ON, silent=silent))
+    expected = 1e-6 * np.arange(5000.0)
+    expected[:30], expected[2000:2004] = 0.0, 1999e-6
+    assert recording.command == pytest.approx(expected[10:], abs=1e-12)
+
+
+@pytest.mark.parametrize("block", [1, 7])
+def test_the_busiest_samples_are_those_of_a_loop_over_all_beginnings(monkeypatch, block):
+    monkeypatch.setattr(path_module, "LONGEST", 70)
+    random = np.random.default_rng(1)
+    for size in (60, 70, 300, 305):
+        y = np.cumsum(random.standard_normal(size) ** 3)
+        means = [y[at : at + block].mean() for at in range(0, size - block + 1, block)]
+        length = 70 // block
+        ways = [sum(np.abs(np.diff(means[at : at + length]))) for at in range(max(1, len(means) - length + 1))]
+        assert path_module._busiest(y, block) == block * int(np.argmax(ways))
+
+
+def test_weights_use_95_percent_of_the_information_of_normal_residuals_and_less_of_wild_ones():
+    residuals = 3.0 * norm.ppf((np.arange(100_000) + 0.5) / 100_000)
+    weights = huber_weights(residuals, 1e-9)
+    # The efficiency of an M-estimate: of ψ(r) = w r, the squared mean of ψ' by the mean of ψ².
+    kept = weights == 1.0
+    assert 9.0 * kept.mean() ** 2 / np.mean((weights * residuals) ** 2) == pytest.approx(0.95, abs=1e-3)
+    assert np.ptp((weights * np.abs(residuals))[~kept]) == pytest.approx(0.0, abs=1e-12)
+    # Where most residuals are nothing, the least deviation counts.
+    assert huber_weights(np.array([0.0, 0.0, 0.0, 13.45]), 1.0) == pytest.approx([1.0, 1.0, 1.0, 0.1])
+
+
+@pytest.mark.parametrize(("wild", "within"), [(0, 2e-3), (200, 4e-3)])
+def test_a_regression_finds_factors_and_their_residuals_whatever_a_few_wild_ones(wild, within):
+    random = np.random.default_rng(1)
+    terms, noise = random.standard_normal((20_000, 2)), 0.1 * random.standard_normal(20_000)
+    noise[:wild] = 30.0
+    found, deviation = robust_regression(terms, terms @ [2.0, -0.5] + noise, 1e-6)
+    assert found == pytest.approx([2.0, -0.5], abs=within)
+    assert deviation == pytest.approx(0.1 / math.sqrt(0.95), rel=0.03 + 5.0 * wild / 20_000)
+
+
+@pytest.mark.parametrize("whole", [0, 1, 2])
+def test_the_arrival_of_each_command_is_found_to_a_nanosecond_with_the_right_bandwidth(whole):
+    delays = (whole + np.random.default_rng(2).uniform(0.1, 0.9, 500)) * PERIOD
+    run = recorded(delays)
+    old, new, switch, late, missed = path_module._arrivals(run.current, run.command, RATE, PERIOD, whole, 3)
+    # But where the converter's counts make two commands the same one.
+    inside = np.flatnonzero(np.abs(new - old) > 1e-9)[whole + 1 : -1]
+    assert inside.size > 480 and (late[inside] == whole).all() and np.abs(missed[inside]).max() < 1e-9
+    assert (switch + late * PERIOD)[inside] == pytest.approx(delays[inside - whole], abs=1e-9)
+    assert new[inside] == pytest.approx(run.command[inside - whole])
+    assert old[inside] == pytest.approx(run.command[inside - whole - 1])
+
+
+def test_delays_of_up_to_two_samples_more_than_described_are_found():
+    described = dataclasses.replace(DRIVE, delay=2.5)
+    path = current_path(recorded(np.full(4000, 4.5 * PERIOD)), described)
+    assert path.rate_found and path.delay == pytest.approx(4.5 * PERIOD, abs=1e-7)
+
+
+def test_the_described_bandwidth_holds_where_the_record_gives_none():
+    still = Recording(500_000, *np.zeros((4, 4000)), 4000)
+    path = current_path(still, dataclasses.replace(DRIVE, bandwidth=300.0))
+    assert (path.rate, path.rate_found, path.rate_deviation) == (2.0 * math.pi * 300.0, False, 0.0)
+    assert math.isnan(path.delay) and np.isnan(path.delay_spread).all()
+    # One that is faster than its samples show, with the noise of the measurement.
+    for seed in range(4):
+        fast, noise = recorded(np.full(4000, 1e-4), rate=1e6), np.random.default_rng(seed).standard_normal(4000)
+        path = current_path(dataclasses.replace(fast, current=fast.current + 1e-5 * noise), DRIVE)
+        assert path.rate > 0.0 and np.isfinite(path.before).all()
+    # A gain that is not that of the description is another command's.
+    weak = recorded(np.full(4000, 1e-4))
+    assert not current_path(dataclasses.replace(weak, current=0.9 * weak.current), DRIVE).rate_found
+    assert current_path(dataclasses.replace(weak, current=0.97 * weak.current), DRIVE).rate_found
 
 
 def test_of_a_long_stretch_those_samples_are_used_in_which_the_platform_moves_whatever_flickers_at_rest(
