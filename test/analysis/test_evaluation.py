@@ -1,15 +1,18 @@
 """A bag's streams put together by their stamps: the run, its counts, its delays."""
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from bag_of_rows import REPORT, bag_of, bag_of_rows, packed, report
 
 from straightcomp_ros.analysis import evaluation
-from straightcomp_ros.analysis.evaluation import evaluate_bag, percentile_us
-from straightcomp_ros.analysis.record import runs_of
+from straightcomp_ros.analysis.evaluation import FOR_EVER, evaluate_bag, percentile_us, samples_between, samples_taken
+from straightcomp_ros.analysis.record import MetricsError, runs_of
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags.reader import StreamColumns
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 
@@ -179,3 +182,185 @@ def test_an_encoder_alone_in_its_namespace_is_judged_with_all_the_streams_of_the
     bag = in_namespaces(tmp_path / "bag", ("", rows_of()), ("/filtered", filtered))
     found = evaluate_bag(bag, {ENCODER.topic: "/filtered/encoder"})
     assert len(found.record.true_x) == 30 and len(found.latency) == COUNT // 2
+
+
+PERIOD = PERIOD_NS * 1e-9
+JITTER = np.random.default_rng(1).integers(-PERIOD_NS // 5, PERIOD_NS // 5, 4000)
+JITTERED = START_NS + PERIOD_NS * np.arange(4000) + JITTER
+
+
+def test_samples_are_counted_from_one_to_the_next_and_not_in_pauses():
+    period = np.median(np.diff(JITTERED))
+    stamps = np.delete(JITTERED, [5, 6, 7, *range(100, 2900)])
+    expected = [max(1, round(float(step / period))) for step in np.diff(stamps)]
+    assert samples_between(stamps, JITTERED).tolist() == expected
+    even = stamps - np.delete(JITTER, [5, 6, 7, *range(100, 2900)])
+    assert (samples_taken(even), samples_taken(even, even[[96]])) == (4000, 4000 - 2800)
+    # Two samples of one batch are two, however near.
+    assert samples_between(np.array([0, 1, PERIOD_NS]), JITTERED).tolist() == [1, 1]
+
+
+def part_of(record, kept):
+    return replace(record, **{name: values[kept] for name, values in record.columns().items()})
+
+
+def test_the_stamps_of_the_record_are_those_of_its_samples_after_months_too(make_record, assessed):
+    record = make_record()
+    stamps = START_NS + np.round(record.time * 1e9).astype(np.int64) + np.resize(JITTER, record.time.size)
+    kept = np.flatnonzero(np.random.default_rng(2).uniform(size=stamps.size) < 0.7)
+    late = stamps + np.where(np.arange(stamps.size) > 2000, 200 * 86_400 * 10**9, 0)
+    time = (late[kept] - late[kept[0]]) * 1e-9
+    found = replace(
+        assessed(record).evaluation,
+        record=replace(part_of(record, kept), time=time),
+        stamps=late,
+        begin_ns=late[kept[0]],
+    )
+    assert (found.record_stamps == late[kept]).all()
+
+
+def test_the_part_of_the_travel_that_is_in_the_record_is_what_its_samples_leave_no_gap_in(make_record, assessed):
+    record = make_record()
+    size, whole = record.time.size, assessed(record).evaluation
+    numbers, middle = np.arange(size), size // 2
+    assert whole.partial() is None
+    for thinned, share in (
+        (numbers % 3 == 0, "33% of the travel"),
+        ((numbers % 5 == 0) | (numbers > middle), None),
+        ((numbers % 5 == 0) | (numbers < middle), None),
+        ((numbers % 20 == 0) | (numbers > 1.2 * middle), "4[0-9]% of the travel"),
+    ):
+        found = replace(whole, record=part_of(record, thinned), begin_ns=int(whole.stamps[thinned.argmax()])).partial()
+        assert (found is None) == (share is None)
+        if share:
+            assert found.verdict == "starved" and re.search(share, found.reason)
+
+
+def test_an_error_of_samples_outside_the_record_harms_from_twice_the_usual_one_and_more_than_a_count_on(
+    make_record, assessed
+):
+    record = make_record()
+    usual = 1e-6 * np.sin(40.0 * record.time)
+    first, _ = assessed(record).evaluation.encoder.strokes
+    middle = (first.start + first.stop) // 2
+    missing = np.isin(np.arange(usual.size), range(middle, middle + 50))
+
+    def found(error, missing=missing, **changes):
+        run = replace(assessed(record).evaluation, record=part_of(record, ~missing), seen_error=error, **changes)
+        return run.partial()
+
+    peak = float(usual[first.samples].min())
+    for pp, harm in ((2.2e-6, False), (3.8e-6, False), (4.2e-6, True)):
+        error = np.where(missing, peak + pp, usual)
+        verdict = found(error)
+        assert (verdict is not None) == harm
+    assert verdict.verdict == "starved"
+    assert f"50 samples of the motion, from {record.time[middle]:.2f}" in verdict.reason
+    assert "4.2 µm p-p in place of 2;" in verdict.reason
+    # Of samples at rest, after the last one that was judged, without a known reference, or within a count: none.
+    resting = np.isin(np.arange(usual.size), range(first.stop + 100, first.stop + 150))
+    assert found(np.where(resting, 9e-6, usual), resting) is None
+    run = assessed(record).evaluation.encoder
+    assert found(np.where(missing, np.nan, usual)) is found(np.empty(0)) is None
+    assert found(np.where(missing, 0.06e-6, 0.01 * usual)) is None
+    assert found(np.where(missing, 0.2e-6, 0.01 * usual)) is not None
+    # Nor for another time of the run.
+    whole = replace(assessed(record).evaluation, record=part_of(record, ~missing), seen_error=error)
+    ended = replace(whole, encoder=run._replace(judged_ns=int(run.stamps[middle])))
+    assert ended._unjudged_harm(0, FOR_EVER) == ""
+    assert whole.partial(int(run.stamps[first.stop])) is None
+    assert whole.partial(0, int(run.stamps[middle])) is None is not whole.partial(1)
+
+
+def test_what_is_known_to_break_a_run_is_its_verdict_and_said_of_a_stage_that_stands(make_record, assessed):
+    record = make_record()
+    for changes in ({"lost_files": "run_1.mcap"}, {"clock_jump": "the clock jumps"}):
+        found = assessed(record, **changes)
+        assert found.verdict == found.partial != assessed(record).verdict
+        with pytest.raises(MetricsError, match=f"{next(iter(changes.values()))}.*; while the law ran: .*move"):
+            assessed(replace(record, x=0.0 * record.x), **changes)
+    with pytest.raises(MetricsError, match=r"^(?!.*while the law ran).*move"):
+        assessed(replace(record, x=0.0 * record.x))
+
+
+def test_a_reference_that_was_not_recorded_is_the_maps_or_that_of_the_same_place(make_record, cosine_map):
+    record = make_record(truth=False)
+    stamps = np.round(record.time * 1e9).astype(np.int64)
+    kept = np.arange(stamps.size) % 4 != 0
+    stream = StreamColumns(stamps[kept], stamps[kept], {"r": record.r[kept] + 1e-3})
+    inside = ~kept & (record.x > record.x.min()) & (record.x < record.x.max())
+    by_map, by_place = (
+        evaluation._reference_at(stamps, record.x, stream, record, known) for known in (cosine_map, None)
+    )
+    for found in (by_map, by_place):
+        assert (found[kept] == record.r[kept] + 1e-3).all()
+        assert found[inside] == pytest.approx(record.r[inside], abs=2e-9)
+    # Beyond what was recorded only the map knows it.
+    x = record.x + 2.0
+    assert np.isnan(evaluation._reference_at(stamps, x, stream, record, None)[~kept]).all()
+
+
+def test_each_reading_of_a_sensor_belongs_to_the_nearest_sample_and_lies_on_a_line_between(tmp_path):
+    read = {number: START_NS + number * PERIOD_NS + 180_000 * (-1) ** number for number in range(8, 37, 4)}
+    read |= {21: START_NS + 21 * PERIOD_NS - 200_000}
+    sensor = [(DISPLACEMENT, stamp, (1e-6 * number**2,)) for number, stamp in sorted(read.items())]
+    found = evaluate_bag(bag_of_rows(tmp_path / "bag", [*rows_of(), *sensor]))
+    numbers = np.arange(10, COUNT)
+    assert found.read.tolist() == [number in read for number in numbers]
+    assert found.readings[found.read] == pytest.approx([1e-6 * n**2 for n in numbers if n in read])
+    assert np.isnan(found.readings[~found.read]).all() and np.isnan(found.guide[numbers > 36]).all()
+    between = ~found.read & (numbers < 36)
+    times, places = np.array([(read[n] - START_NS) / PERIOD_NS for n in sorted(read)]), sorted(read)
+    expected = np.interp(numbers[between], times, [1e-6 * n**2 for n in places])
+    assert found.guide[between] == pytest.approx(expected)
+    # Without a sensor no reading is missing.
+    without = evaluate_bag(recorded(tmp_path / "without"))
+    assert without.guide is without.readings is None and without.read.all()
+
+
+@pytest.mark.parametrize("changed", [1, 5, 7])
+def test_parameters_that_changed_in_the_recording_are_named_up_to_five(tmp_path, monkeypatch, changed):
+    monkeypatch.setattr(evaluation, "noted_changes", lambda _: [(0, {f"p{one}": "1"}) for one in range(changed)])
+    with pytest.warns(UserWarning, match="parameters changed while") as found:
+        evaluate_bag(recorded(tmp_path / "bag"))
+    (text,) = (str(one.message) for one in found)
+    assert [f"p{one}" in text for one in range(7)] == [one < min(changed, 5) for one in range(7)]
+    assert ("and 2 more;" in text) == (changed == 7) and ("more" in text) == (changed > 5)
+
+
+def test_a_truth_that_comes_less_often_is_left_out_and_one_that_lost_some_is_not(tmp_path):
+    with pytest.warns(UserWarning, match="'truth' has 20 messages for 40 samples"):
+        assert evaluate_bag(recorded(tmp_path / "a", left_out={TRUTH: set(range(0, COUNT, 2))})).record.true_y is None
+    assert len(evaluate_bag(recorded(tmp_path / "b", left_out={TRUTH: set(range(0, COUNT, 3))})).record.true_y) == 20
+
+
+@pytest.mark.parametrize(
+    ("later_s", "lockstep", "left_out", "lost_at", "left_on"),
+    [
+        (None, False, {}, 0.0, False),
+        (None, False, {ENCODER: {59}}, 20.0, False),
+        (0.015, False, {}, 0.0, False),
+        (0.1, False, {}, 20.0, False),
+        (0.9, False, {}, 20.0, False),
+        (1.1, False, {}, 20.0, True),
+        (1.1, True, {}, 0.0, False),
+    ],
+)
+def test_a_run_goes_on_after_its_last_sample_by_answers_and_reports(
+    tmp_path, later_s, lockstep, left_out, lost_at, left_on
+):
+    messages = list(packed(rows_of(left_out=left_out, order=range(-50, 60))))
+    if later_s:
+        end = START_NS + 59 * PERIOD_NS + round(later_s * 1e9)
+        messages.append((DIAGNOSTICS, REPORT, report("driver", end), end, end))
+    parameters = f"/driver: {{ros__parameters: {{lockstep: {str(lockstep).lower()}}}}}"
+    found = evaluate_bag(bag_of(tmp_path / "bag", messages, parameters)).encoder
+    # 0.01 m in 0.5 ms; so it was when the amplifier was switched on, too.
+    assert (found.lost_at, found.on_at) == pytest.approx((lost_at, 20.0))
+    assert found.left_on == left_on
+
+
+def test_streams_that_end_with_the_first_of_them_are_named(tmp_path):
+    many = {REFERENCE: set(range(30, COUNT)), COMMAND: set(range(39, COUNT))}
+    assert evaluate_bag(recorded(tmp_path / "a", left_out=many)).encoder.ended == "reference and command and truth"
+    assert evaluate_bag(recorded(tmp_path / "b", without=(TRUTH,))).encoder.ended == "reference and command"
