@@ -50,6 +50,10 @@ def test_gaps_saturation_and_switch_off_are_reported_with_count_and_time_from_th
     assert (figures["gaps"], figures["saturations"], figures["amplifier_off_in_motion"]) == (1, 1, 1)
     assert (figures["longest_gap_s"], figures["saturated_samples"]) == (pytest.approx(2.5e-3), 11)
     assert json.loads(json.dumps(found.as_json()))["gap_intervals"][0]["samples"] == 4
+    # Before the first motion neither, but up to the end of the last one.
+    on = np.ones(every.size, bool)
+    on[:100] = on[20_000:20_007] = False
+    assert assessed(record, amplifier_on=on).amplifier_off == [pytest.approx((10.0, 10.003, 7))]
     # An amplifier that was never on is no fault either.
     assert assessed(record, amplifier_on=np.zeros(every.size, bool)).amplifier_off == []
 

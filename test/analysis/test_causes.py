@@ -6,10 +6,21 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import rayleigh
+from surveys import one_run
 
 from straightcomp_ros.analysis import causes
-from straightcomp_ros.analysis.causes import Line, comes_and_goes, dragging, locked_to_x, mains, mode_of, of_error
+from straightcomp_ros.analysis.causes import (
+    Line,
+    comes_and_goes,
+    dragging,
+    locked_to_x,
+    mains,
+    mode_of,
+    of_error,
+    of_map,
+)
 from straightcomp_ros.analysis.judged_motion import JudgedMotion
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 
 T = 5e-4
 TIME = np.arange(16_000) * T
@@ -88,12 +99,12 @@ def test_each_line_of_a_grid_is_of_the_mains_within_the_grids_tolerance(grid):
         (30.0, 0.5, False),
     ],
 )
-def test_a_line_of_ten_samples_is_of_the_mains_by_a_line_that_a_symmetric_limit_cycle_has_not(
+def test_a_line_of_twelve_samples_is_of_the_mains_by_a_line_that_a_symmetric_limit_cycle_has_not(
     other, amplitude, is_mains
 ):
     noise = 1e-10 * RANDOM.standard_normal(16_000)
-    error = sine(50.0, 2e-3) + amplitude * sine(other, 2e-3) + noise
-    assert (mains(motion(error, 2e-3), Line(0.3e-6, 50.0)) is not None) == is_mains
+    error = sine(50.0, 1.0 / 600.0) + amplitude * sine(other, 1.0 / 600.0) + noise
+    assert (mains(motion(error, 1.0 / 600.0), Line(0.3e-6, 50.0)) is not None) == is_mains
 
 
 def test_a_line_is_of_the_nearest_mode_within_a_tenth():
@@ -179,3 +190,42 @@ def test_white_noise_has_no_cause_whether_the_stage_makes_strokes_or_not():
     for x in (THERE_AND_BACK, 0.2 * TIME, 0.1 * np.sin(1e-6 * TIME), 1e-7 * np.round(0.5 * np.sin(TIME))):
         run = motion(noise, x=x, r=1e-5 * np.sin(TIME))
         assert of_error(run) == causes.UNKNOWN and locked_to_x(run) is None
+
+
+PAUSED = np.cumsum(np.select([TIME < 3.0, TIME < 5.0], [0.5, 0.0], -0.5)) * T
+
+
+def test_noise_that_is_as_large_at_rest_is_said_to_be_from_half_of_the_error_on():
+    noise = 1e-7 * RANDOM.standard_normal(TIME.size)
+    for share, words in ((1.0, "as large at rest"), (0.6, "as large at rest"), (0.4, causes.UNKNOWN)):
+        error = np.where((TIME > 3.0) & (TIME < 5.0), share * noise + 4e-8, noise)
+        assert words in of_error(motion(error, x=PAUSED, r=1e-5 * np.sin(TIME)))
+
+
+@pytest.mark.parametrize(("back", "found"), [(-1.0, True), (1.0, True), (0.0, False)])
+def test_an_error_of_few_waves_is_the_places_if_the_way_back_has_it_with_either_sign(back, found):
+    time = np.arange(4000) * T
+    x = 1.0 - np.abs(time - 1.0)
+    ways = np.where(time < 1.0, 1.0, back)
+    error = 1e-7 * np.sin(6.0 * np.pi * x) * ways + 2e-8 * RANDOM.standard_normal(time.size)
+    error[time >= 1.0] += (back == 0.0) * 1e-7 * np.sin(11.0 * np.pi * x[time >= 1.0])
+    run = motion(error, x=x, r=1e-5 * np.sin(2.0 * np.pi * 1.7 * time))
+    assert ("same at each place" in of_error(run)) == found
+
+
+@pytest.mark.parametrize("line", [0.0, 1.0])
+def test_why_a_map_does_not_fit_is_the_same_beside_any_straight_line(line):
+    x = np.linspace(0.0, 1.76, 2000)
+    added = line * (3e-6 - 40e-6 * x)
+    waves, points = 2e-6 * np.sin(2.0 * np.pi * 3.7 * x / 1.76), np.linspace(0.0, 1.76, 17)
+    flat = StraightnessMap(
+        one_run(points, 1e-9 * np.cos(points)), MapParameters(max_gap=0.2, min_points=5, smooth="none")
+    )
+    between = 2e-6 * np.sin(2.0 * np.pi * x / 0.11 - 0.5 * np.pi)
+    assert "110 mm apart: survey more points" in of_map(x, between + added, flat.deviations, flat)
+    assert "use a survey of this guide" in of_map(x, waves + added, flat.deviations, flat)
+    bow = 2e-6 * ((x - 0.88) / 0.88) ** 2
+    assert "bowed by 2 µm" in of_map(x, bow + added, flat.deviations, flat)
+    assert "multiplied by 1.5:" in of_map(
+        x, 0.5 * waves + added, lambda at: 2e-6 * np.sin(2.0 * np.pi * 3.7 * at / 1.76)
+    )

@@ -353,7 +353,7 @@ def test_a_run_goes_on_after_its_last_sample_by_answers_and_reports(
     if later_s:
         end = START_NS + 59 * PERIOD_NS + round(later_s * 1e9)
         messages.append((DIAGNOSTICS, REPORT, report("driver", end), end, end))
-    parameters = f"/driver: {{ros__parameters: {{lockstep: {str(lockstep).lower()}}}}}"
+    parameters = "/driver: {ros__parameters: {lockstep: true}}" if lockstep else ""
     found = evaluate_bag(bag_of(tmp_path / "bag", messages, parameters)).encoder
     # 0.01 m in 0.5 ms; so it was when the amplifier was switched on, too.
     assert (found.lost_at, found.on_at) == pytest.approx((lost_at, 20.0))

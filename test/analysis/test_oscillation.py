@@ -90,6 +90,9 @@ def test_the_smallest_amplitude_of_the_segments_in_which_a_line_is_held_is_its_o
         assert sustained_oscillation(line, STILL, T).amplitude == pytest.approx(amplitude, rel=0.02)
     less = sine(60.0) * np.where(TIME < 2.0, 0.5, 1.0)
     assert sustained_oscillation(less, STILL, T) == pytest.approx((0.3e-6, 60.0), rel=0.02)
+    # Of two lines one after the other the strongest has both its amplitude and its frequency.
+    both = np.where(TIME < 1.0, sine(60.0), 0.3 * sine(180.0))
+    assert sustained_oscillation(both, STILL, T) == pytest.approx((0.3e-6, 60.0), rel=0.02)
     # A line that hops to another frequency for one segment has the frequency of the others.
     hops = np.where(np.abs(TIME - 2.0) < 0.1, sine(180.0), sine(60.0))
     assert sustained_oscillation(hops, STILL, T).frequency == pytest.approx(60.0, rel=0.01)
