@@ -71,7 +71,7 @@ def test_the_background_of_a_line_is_the_median_from_two_widths_of_a_line_to_hal
 
 
 def test_a_line_stands_out_of_noise_within_the_resolution_of_the_length_only():
-    error, length = sine(100.0) + 0.3e-6 * 5.0 * RANDOM.standard_normal(TIME.size), float(np.ptp(TIME))
+    error, length = sine(100.0) + 0.3e-6 * 9.0 * RANDOM.standard_normal(TIME.size), float(np.ptp(TIME))
     assert all(causes._stands_out(TIME, error, 100.0 + away / length) for away in (-0.9, 0.0, 0.9))
     assert not any(causes._stands_out(TIME, error, 100.0 + away / length) for away in (-3.0, 3.0, 40.0))
     assert [causes._stands_out(TIME, error, 100.0, least) for least in (0.25e-6, 0.4e-6)] == [True, False]
@@ -137,6 +137,7 @@ def test_a_line_comes_and_goes_from_half_of_the_spread_of_noise_behind_a_resonan
         ((much, much, little, none), False),
         ((much, much, much, beating(1.1 * half)), True),
         ((0.0 * none,), False),
+        ((0.0 * none, beating(2.3 * half), beating(2.3 * half)), True),
     ):
         assert comes_and_goes(pieces, 60.0, T) == expected
 
@@ -229,3 +230,12 @@ def test_why_a_map_does_not_fit_is_the_same_beside_any_straight_line(line):
     assert "multiplied by 1.5:" in of_map(
         x, 0.5 * waves + added, lambda at: 2e-6 * np.sin(2.0 * np.pi * 3.7 * at / 1.76)
     )
+
+
+@pytest.mark.parametrize(("begin", "friction"), [(0.0, True), (-0.1, False)])
+def test_an_error_is_frictions_where_it_is_made_within_a_tenth_of_a_second_after_a_reversal(begin, friction):
+    error = 2e-8 * RANDOM.standard_normal(TIME.size)
+    for number, turn in enumerate(np.arange(0.5, 4.8, 1.0) / 0.6):
+        error[(turn + begin < TIME) & (turn + begin + 0.1 > TIME)] += 0.5e-6 * (-1.0) ** (number // 2)
+    run = motion(error, r=10e-6 * np.sin(2.0 * np.pi * 0.3 * TIME))
+    assert ("where the platform reverses" in of_error(run)) == friction
