@@ -82,7 +82,8 @@ def test_each_line_of_a_grid_is_of_the_mains_within_the_grids_tolerance(grid):
     for multiple in range(1, 7):
         frequency = multiple * grid
         for off, is_mains in ((0.997, True), (1.003, True), (0.993, False), (1.007, False)):
-            found = mains(motion(sine(off * frequency)), Line(0.3e-6, frequency))
+            others = 2.0 * sine(0.7 * frequency) + 2.0 * sine(1.6 * frequency)
+            found = mains(motion(sine(off * frequency) + others), Line(0.3e-6, frequency))
             assert (found is not None) == is_mains, (frequency, off)
             if found:
                 assert found == pytest.approx((0.3e-6, off * frequency), rel=0.05)
@@ -104,6 +105,12 @@ def test_a_line_of_twelve_samples_is_of_the_mains_by_a_line_that_a_symmetric_lim
 ):
     noise = 1e-10 * RANDOM.standard_normal(16_000)
     error = sine(50.0, 1.0 / 600.0) + amplitude * sine(other, 1.0 / 600.0) + noise
+    assert (mains(motion(error, 1.0 / 600.0), Line(0.3e-6, 50.0)) is not None) == is_mains
+
+
+@pytest.mark.parametrize(("away", "is_mains"), [(-1.5, True), (-0.5, False), (0.5, False), (1.5, True)])
+def test_a_line_that_the_length_resolves_from_whole_samples_is_no_limit_cycle(away, is_mains):
+    error = sine(50.0 + away * 600.0 / 16_000, 1.0 / 600.0) + 1e-10 * RANDOM.standard_normal(16_000)
     assert (mains(motion(error, 1.0 / 600.0), Line(0.3e-6, 50.0)) is not None) == is_mains
 
 
