@@ -151,7 +151,7 @@ class EncoderRun(NamedTuple):
         holes = np.flatnonzero(within[:-1] & (steps >= PAUSE * 1e9) & ~np.isin(self.stamps[:-1], self.pauses))
         moving = self.moving(begin_ns, until_ns)
         latched = {fault.label: fault for fault in reversed(faults) if begin_ns <= fault.time_ns < until_ns}
-        found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in reversed(latched.values())]
+        found = [f"fault {one.label} at {at(one.time_ns)} ({one.reason})" for one in sorted(latched.values())]
         found += [f"x jumps at {at(int(self.stamps[jump]))}" for jump in self.jumps[within[self.jumps]][:1]]
         found += [f"no sample came for {steps[one] * 1e-9:.3f} s after {at(int(self.stamps[one]))}" for one in holes]
         if off := np.count_nonzero(moving & self.off):

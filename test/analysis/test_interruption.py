@@ -1,6 +1,7 @@
 """A run that lost its law, its amplifier or its clock in motion is never in order."""
 
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ from places import SMC
 from rewritten_bag import rewritten
 from tiers import nightly
 
-from straightcomp_ros.analysis.interruption import encoder_run, played, stalls_of
+from straightcomp_ros.analysis.interruption import LatchedFault, clock_jump, encoder_run, played, stalls_of
 from straightcomp_ros.analysis.record import motion_of, strokes_and_jumps
+from straightcomp_ros.bags.reader import StreamColumns
 from straightcomp_ros.contract import COMMAND, DRIVER_STATE, ENCODER, REFERENCE, TRUTH
 from straightcomp_ros.fleet.history.adding import evaluate_bag
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
@@ -289,3 +291,118 @@ NONE = SAMPLES[:0]
 def test_a_stall_is_found_in_lost_samples_missing_and_late_commands(samples, answered, of_driver, columns, expected):
     found = stalls_of(samples, answered, of_driver, columns)
     assert found == ([] if expected is None else [pytest.approx(expected)])
+
+
+def test_stalls_are_in_order_and_those_that_touch_are_one():
+    left, answered = np.delete(SAMPLES, [700, 701]), np.delete(SAMPLES, [0, 2, 700, 701, 1200, 1201, 1997, 1999])
+    late = driver(command_latency={699: 5e-3, 705: 5e-3, 1500: 3e-3}, lateness={1202: 1e-3})
+    found = stalls_of(left, answered, SAMPLES, late)
+    # From the late answer over the lost samples to another one; samples without a command, and a late one after them.
+    together = [(2, 3), (688, 705), (1200, 1204), (1493, 1500), (1997, 1998)]
+    assert found == [pytest.approx((begin * T, end * T)) for begin, end in together]
+
+
+def jumped(by, at=1000, speed=0.0, after=None, log_too=False, lost=0):
+    """A second of samples whose stamps go on from another time, in s, of a stage at this speed in m/s, whose recording
+    delays them by up to 4 ms. So many samples are lost at the jump."""
+    kept = np.delete(np.arange(2000), range(at, at + lost))
+    stamps = S + kept * PERIOD_NS
+    moved = stamps + np.where(kept < at, 0, round(by * S))
+    x = speed * (kept - at) * T * np.where(kept < at, 1.0, 1.0 if after is None else after)
+    log = (moved if log_too else stamps) + 1_000_000 * (kept % 4 + 1)
+    return StreamColumns(log, moved, {"x": x, "y": np.where(kept % 7, 1e-7 * kept, np.nan)})
+
+
+@pytest.mark.parametrize(
+    ("by", "said", "samples"),
+    [
+        *((by, words, {}) for by, words in ((0.05, "50 ms"), (-0.05, "-50 ms"), (2.0, "2 s"), (7200.0, "2 h"))),
+        *((3 * 86400.0, "3 d", {"at": at}) for at in (1, 25, 1999)),
+        (0.025, "25 ms", {}),
+        (0.019, "", {}),
+        # The recording's clock went with it: then the way of the stage says it.
+        *((0.05, "50 ms", {"speed": speed, "log_too": True, "lost": 3}) for speed in (6e-4, -0.3)),
+        (0.05, "50 ms", {"speed": 0.3, "log_too": True, "at": 20}),
+        (0.05, "50 ms", {"speed": 0.3, "log_too": True, "at": 1980}),
+        (-0.05, "-50 ms", {"speed": 0.3, "log_too": True}),
+        (0.019, "", {"speed": 0.3, "log_too": True}),
+        # It says nothing where it stands or creeps, has turned, or went on for longer than some samples, nor of few.
+        *((0.05, "", {"speed": speed, "log_too": True}) for speed in (0.0, 4e-4, -4e-4)),
+        (0.05, "", {"speed": 0.3, "after": -1.0, "log_too": True}),
+        (0.05, "", {"speed": 0.3, "log_too": True, "lost": 6}),
+        (0.05, "", {"speed": 0.3, "log_too": True, "at": 19}),
+        (0.05, "", {"speed": 0.3, "log_too": True, "at": 1981}),
+        (0.0, "", {"lost": 100}),
+        (0.0, "", {"lost": 100, "speed": 0.3}),
+    ],
+)
+def test_a_jump_of_the_clock_has_the_size_that_recording_or_motion_show(by, said, samples):
+    found = clock_jump(jumped(by, **samples))
+    if not said:
+        assert found == ""
+    else:
+        assert f"jump by {said} after sample {samples.get('at', 1000) - 1}," in found
+
+
+def test_a_clock_that_is_set_back_by_some_samples_repeats_their_stamps_with_other_readings():
+    back = jumped(-10 * T)
+    assert clock_jump(back).startswith("10 stamps came twice")
+    # The same sample twice is no jump, whatever it reads.
+    again = np.sort(np.append(np.arange(2000), np.arange(990, 1010)))
+    assert clock_jump(jumped(0.0).taken(again)) == clock_jump(jumped(0.0)) == ""
+    assert clock_jump(back.taken(np.zeros(5, int))) == ""
+
+
+def test_a_recording_that_stalls_or_runs_slowly_or_drifts_has_no_jump_where_samples_are_lost():
+    stamps = np.delete(np.arange(6000), [2998, 2999, 3000]) * 10_000_000
+    x = {"x": 0.0 * stamps, "y": 0.0 * stamps}
+    stalled = np.where((stamps > 30 * S) & (stamps < 31 * S), 31 * S, stamps)
+    for log in (stalled, stamps + stamps // 1000, 3 * stamps, stamps // 3):
+        assert clock_jump(StreamColumns(log, stamps, x)) == ""
+
+
+@pytest.mark.parametrize(
+    ("said", "changes"),
+    [
+        ("", {}),
+        ("", {"judged": 1970}),
+        ("after 0.700 s no sample has truth, 598 more of the motion have none", {"judged": 1400, "ended": "truth"}),
+        ("x jumps at 0.500 s", {"jump": 1000}),
+        ("the amplifier was off for 10 samples of the motion", {"off": slice(500, 510)}),
+        ("", {"off": slice(1999, 2000)}),
+        ("the amplifier was switched on with the stage moving at 0.6 mm/s", {"on_at": 0.6e-3}),
+        ("", {"on_at": 0.4e-3}),
+        ("the samples end with the amplifier on and the stage moving at 100 mm/s", {"goes_on": True}),
+        ("the samples end with the amplifier on and the stage moving at 100 mm/s", {"silent": True}),
+        ("no sample came for 1.500 s after 0.500 s", {"hole": 1001}),
+    ],
+)
+def test_an_interruption_says_what_when_and_how_much_and_that_of_another_time_is_none(said, changes):
+    changes = dict(changes)
+    stamps, x, on = SAMPLES.copy(), 0.1 * SAMPLES / S, np.ones(SAMPLES.size, bool)
+    stamps[changes.pop("hole", 2000) :] += 1_499_500_000
+    x[changes.pop("jump", 2000) :] += 0.1
+    on[changes.pop("off", slice(0))] = False
+    run = encoder_run(stamps, x, on, int(stamps[changes.pop("judged", 1999)]), **changes)
+    assert run.interruption((), 0, 3 * S, 0) == said
+    for begin, until in ((-S, 0), (3 * S, 4 * S)):
+        assert run.interruption((), begin, until, 0) == ""
+    # On a clock that began earlier.
+    assert re.sub(r"\d+\.\d+ s", "", run.interruption((), 0, 3 * S, -S)) == re.sub(r"\d+\.\d+ s", "", said)
+
+
+def test_a_stage_that_moved_while_nothing_was_recorded_is_no_pause_and_one_that_stood_is():
+    stamps = SAMPLES + np.where(np.arange(2000) < 1000, 0, 8 * S)
+    for moved, pauses in ((0.0, 1), (0.04e-3, 1), (0.06e-3, 0), (0.1, 0)):
+        x = np.interp(np.arange(2000), [0, 500, 999, 1000, 1500, 2000], [0.0, 0.01, 0.01, 0.01, 0.01, 0.0])
+        x += np.where(np.arange(2000) < 1000, 0.0, moved)
+        assert encoder_run(stamps, x, np.ones(2000, bool), int(stamps[-1])).pauses.tolist() == [stamps[999]] * pauses
+
+
+def test_of_the_faults_of_a_node_the_first_counts_and_all_from_the_begin_to_before_the_end():
+    run = encoder_run(SAMPLES, 0.0 * SAMPLES, np.ones(SAMPLES.size, bool), int(SAMPLES[-1]))
+    faults = [LatchedFault(at * S // 10, label, "hot") for at, label in ((1, "a"), (2, "b"), (3, "a"), (4, "c"))]
+    said = "fault a at 0.100 s (hot); fault b at 0.200 s (hot)"
+    assert run.interruption(faults, S // 10, 4 * S // 10, 0) == said
+    assert run.interruption(faults, S // 10 + 1, 2 * S // 10, 0) == ""
+    assert run.unanswered(SAMPLES[:-1]) == 1 and run.unanswered(np.delete(SAMPLES, [3, 4])) == 2
