@@ -1,7 +1,9 @@
 """The figures of a run, on records whose figures are known."""
 
 import dataclasses
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from pytest import approx
 
 from straightcomp_ros.analysis.figure_words import with_digits
-from straightcomp_ros.analysis.metrics import evaluate, force_balance, standstill_figures
+from straightcomp_ros.analysis.metrics import evaluate, force_balance, residual_of_stroke, standstill_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
@@ -196,6 +198,93 @@ def test_a_platform_that_rests_or_goes_one_way_shows_no_friction() -> None:
     one_way = 1e-5 * time
     for case in ((time, 0.05 * y, current), (time[:200], y[:200], current[:200]), (time, one_way, -667.0 * one_way)):
         assert math.isnan(force_balance(*case).friction)
+
+
+def bristled(turns, bending=1.9e-6, creeping=0.0):
+    """Time, y and current of a platform that goes to these y in m at 20 µm/s, whose friction of 7 mA grows over a
+    ``bending`` after each reversal, and is three times as large where it creeps at this share of the speed."""
+    legs = [np.linspace(a, b, 1 + round(RATE * abs(b - a) / 20e-6))[1:] for a, b in itertools.pairwise(turns)]
+    y, current = np.concatenate(legs), []
+    for leg in legs:
+        way, gone = np.sign(leg[-1] - leg[0]), np.abs(leg - leg[0])
+        current.append(0.01 - STIFFNESS * leg + way * 0.007 * np.minimum(gone / bending, 1.0))
+    current = np.concatenate(current)
+    if creeping:
+        slow = np.arange(0.0, 3e-6, creeping * 20e-6 / RATE)
+        y, current = np.append(y, y[-1] + slow), np.append(current, 0.01 - STIFFNESS * (y[-1] + slow) + 0.021)
+    return np.arange(y.size) / RATE, y, current
+
+
+def test_what_bends_after_a_reversal_or_creeps_is_not_sliding_and_a_little_sliding_each_way_is_enough():
+    for there in (20e-6, -20e-6):
+        assert force_balance(*bristled([0.0, there, 0.0, there])) == approx((0.007, STIFFNESS), rel=2e-3)
+    slid = [0.0, 30e-6, 0.0, 3e-6]
+    assert force_balance(*bristled(slid, creeping=0.15)) == approx((0.007, STIFFNESS), rel=0.05)
+    assert force_balance(*bristled(slid, creeping=0.3)).friction > 0.01
+    # 500 samples are 5 µm at this speed; 2 µm before them bend, and the filter takes some at a turn.
+    for back, known in ((8.5e-6, True), (6e-6, False)):
+        for way in (1.0, -1.0):
+            found = force_balance(*bristled([0.0, 30e-6 * way, (30e-6 - back) * way]))
+            assert math.isfinite(found.friction) == math.isfinite(found.stiffness) == known
+    # What has no reading is left out.
+    time, y, current = bristled([0.0, 20e-6, 0.0])
+    y[500:520], current[900:950] = np.nan, np.nan
+    assert force_balance(time, y, current).friction == approx(0.007, rel=0.02)
+
+
+def test_a_platform_that_moves_less_than_twice_the_bending_says_nothing_and_one_that_moves_a_bit_more_says_it():
+    time = np.arange(0.0, 6.0, 1.0 / RATE)
+    for half, known in ((1.9e-6, False), (2.6e-6, True)):
+        y = half * np.sin(np.pi * time)
+        current = -STIFFNESS * y + 0.007 * np.sign(np.cos(np.pi * time))
+        assert math.isfinite(force_balance(time, y, current).friction) == known
+
+
+def test_the_current_at_rest_is_judged_from_200_ms_after_each_stroke_to_the_next(make_record, cosine_map):
+    record = make_record()
+    forward, backward = record.motion.strokes
+    current = np.where(np.arange(record.time.size) % 2, 1.0, -1.0)
+    current[forward.stop - 1 + 400 : backward.start] *= 1e-3
+    assert evaluate(replace(record, current=current), cosine_map).resting_rms_step == approx(2e-3)
+    # Not a sample more on either side.
+    for at in (forward.stop - 1 + 400, backward.start - 1):
+        more = current.copy()
+        more[at] += 5e-3
+        assert evaluate(replace(record, current=more), cosine_map).resting_rms_step > 2e-3
+    only = record.part(slice(0, backward.start))
+    assert evaluate(only, cosine_map).resting_rms_step is None
+
+
+def test_the_reversal_is_the_error_within_100_ms_of_it_on_both_sides_of_the_pause(make_record, cosine_map):
+    record = make_record(truth=False, quantum=1e-12)
+    forward, backward = record.motion.strokes
+    for at, seen in (
+        (forward.stop - 199, 1),
+        (forward.stop - 202, 0),
+        (backward.start + 198, 1),
+        (backward.start + 201, 0),
+    ):
+        y = record.y.copy()
+        y[at] += 1e-6
+        found = standstill_figures(replace(record, y=y), record.reference)[0].reversal_pp
+        assert found == approx(1e-6 * seen, abs=1e-11)
+    # In the same direction nothing is reversed.
+    x = np.interp(record.time, [0.0, 0.5, 1.0, 1.5, 2.0, 20.0], [0.0, 0.0, 0.1, 0.1, 0.2, 0.2])
+    once_more = replace(record, x=x)
+    assert [one.reversal_pp for one in standstill_figures(once_more, record.reference)] == [None, None]
+
+
+def test_figures_that_are_stated_of_a_straightness_over_x_do_not_depend_on_the_time_spent_there():
+    x = np.linspace(0.0, 1.0, 501)
+    deviation = 1e-5 * (x**2 + 0.2 * np.sin(9.0 * x))
+    slowly = np.cumsum(1.0 + 4.0 * (x < 0.3))
+    times = np.arange(0.0, slowly[-1], 0.5)
+    at = np.interp(times, slowly, x)
+    even, lingering = (
+        residual_of_stroke(time, place, np.interp(place, x, deviation))
+        for time, place in ((np.arange(x.size), x), (times, at))
+    )
+    assert lingering == approx(np.interp(at, x, even), abs=1e-8)
 
 
 def test_ten_percent_more_friction_of_a_simulated_stage_is_seen_as_nearly_that() -> None:

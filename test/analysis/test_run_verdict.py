@@ -1,6 +1,7 @@
 """Each verdict on a made-up run, and the nearest run that is in order."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ from surveys import GUIDE, one_run
 
 from straightcomp_ros.analysis.causes import dragging, of_map
 from straightcomp_ros.analysis.interruption import Stall
-from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, encoder_count
+from straightcomp_ros.analysis.judged_motion import GuideFit, JudgedMotion, Left, destabilised, encoder_count
 from straightcomp_ros.analysis.judged_motion import bounds_of as all_bounds
 from straightcomp_ros.analysis.judgement import WORDS, Verdict, worst
+from straightcomp_ros.analysis.record import runs_of
 from straightcomp_ros.analysis.run_verdict import judged_motion, late_commands, verdict_of
 from straightcomp_ros.offline.promise import Promise
 from straightcomp_ros.stage.description import StageParameters
@@ -401,6 +403,129 @@ def test_a_sensor_shows_the_guide_from_five_readings_on_at_each_of_200_places(ma
     )
     found = judged_motion(record, cosine_map, {}, sensor=sensor)
     assert 0.5 * found.largest_of_map < found.fit.left_pp < found.largest_of_map
+
+
+def test_of_a_sensor_the_noise_is_that_of_its_means_and_a_guide_that_differs_by_direction_has_none(
+    make_record, cosine_map
+):
+    record = make_record(truth=False)
+    guide = cosine_map.deviations(record.x)
+    backward = np.isin(np.arange(record.x.size), record.motion.samples("backward"))
+    true = judged_motion(make_record(), cosine_map, {}).fit
+    noise = np.random.default_rng(1).normal(0.0, 1e-6, record.x.size)
+    # 200 means each way, of which each is of some sixty samples.
+    of_mean = 1e-6 * np.sqrt(400.0 / record.motion.samples().size)
+    for error, noise_left, left in (
+        (0.0 * guide, 0.0, 0.0),
+        (noise, of_mean, 6.0 * of_mean),
+        (1e-6 * backward, 0.0, 1e-6),
+    ):
+        fit = judged_motion(record, cosine_map, {}, sensor=guide + error).fit
+        assert fit.noise == pytest.approx(noise_left, rel=0.05, abs=3e-9)
+        assert fit.left_pp == pytest.approx(left, rel=0.15, abs=0.03e-6)
+        assert fit.guide_pp == pytest.approx(true.guide_pp, rel=0.3)
+    assert (true.noise, true.left_pp) == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+def test_a_run_is_judged_from_its_first_to_its_last_motion_by_its_truth_and_the_stalls_within(make_record, cosine_map):
+    record = make_record(1e-6 * np.sin(np.arange(make_record().time.size)), quantum=1e-9)
+    window, begin = record.motion.window, float(record.moving.time[0])
+    end = float(record.moving.time[-1])
+    stalls = [Stall(*of) for of in ((0.0, begin - T), (0.0, begin), (2.0, 2.1), (end, end + T), (end + T, end + 1.0))]
+    late = np.full(100, 9.0 * T)
+    found = judged_motion(record, cosine_map, {"driver": {}}, stalls=stalls, latency=late)
+    assert found.stalls == tuple(stalls[1:4]) and found.late == late_commands(late, {}) != ""
+    assert found.time == pytest.approx(record.time[window]) and found.y == pytest.approx(record.true_y[window])
+    assert found.error == pytest.approx((record.r - record.true_y)[window], abs=2e-9) and not found.by_encoder
+    assert found.count == pytest.approx(1e-9) and judged_motion(record, cosine_map, {}).late == ""
+    # From the half of its RMS on the encoder shows an error.
+    for part, unseen in ((0.4, True), (0.6, False)):
+        seen = replace(record, y=record.r + part * (record.y - record.r))
+        assert judged_motion(seen, cosine_map, {}).unseen == unseen
+    blind = judged_motion(make_record(truth=False), cosine_map, {})
+    assert blind.by_encoder and not blind.unseen and blind.error == pytest.approx(blind.r - blind.y)
+
+
+def test_what_a_run_is_allowed_grows_with_its_description_in_closed_form():
+    def allowed(error, smooth=(0.2, 0.1), drawn=(0.0, 0.0), **changes):
+        asked = []
+        left = [Left(pp * 1e-6, rms * 1e-6) for pp, rms in (smooth, drawn)]
+        run = motion(
+            error,
+            promise=lambda: Promise(left[0], lambda at: (asked.append(at), left[1])[1], lambda: left[0]),
+            **changes,
+        )
+        return run.largest * 1e6, run.largest_rms * 1e6, asked
+
+    count = 1.0 / np.sqrt(12.0)
+    for by, (pp, rms) in ((False, (0.1, 0.1 * count)), (True, (0.3, 0.2 * count + 0.05))):
+        # Friction up to twice as large, the counts of what is seen, and the noise of the encoder both ways.
+        found = allowed(8.0 * SMALL, by_encoder=by)
+        assert found[:2] == pytest.approx((0.4 + (0.3 if by else 0.2), 0.2 + rms))
+        # What more strokes of the description leave is asked for by what is more than the encoder's.
+        if found[2]:
+            assert found[2][0] == pytest.approx((0.8e-6 - pp * 1e-6, (8.0 * SMALL).std() - rms * 1e-6))
+        drawn = allowed(8.0 * SMALL, drawn=(3.0, 2.0), by_encoder=by)
+        assert drawn[:2] == pytest.approx((3.0 + pp, 2.0 + rms)) and len(drawn[2]) == 1
+    assert allowed(8.0 * SMALL, friction=3.0)[0] == pytest.approx(0.8)
+    assert allowed(8.0 * SMALL, sensor_noise=1.0, friction=1.0)[0] == pytest.approx(0.5)
+    # Never more than half of the whole guide, nor less than three counts.
+    assert allowed(8.0 * SMALL, (90.0, 50.0), map_pp=30e-6)[0] == pytest.approx(15.0)
+    assert allowed(8.0 * SMALL, (0.001, 0.0), sensor_noise=0.0)[0] == pytest.approx(0.3)
+    assert np.isinf(allowed(8.0 * SMALL, stalls=(Stall(4.0, 4.1),))[1])
+    for known, fit, largest in ((0.02e-6, 0.0, 0.2), (0.03e-6, 0.04e-6, 0.4)):
+        assert motion(map_noise=known, fit=GuideFit(1.0, 1.0, "", fit)).largest_of_map * 1e6 == pytest.approx(largest)
+
+
+def test_a_disturbance_reaches_into_the_time_of_recovery_and_a_rest_begins_200_ms_after_its_stroke():
+    run = motion(x=PAUSED)
+    # 100 ms, or 200 samples.
+    for rate, samples in ((2000.0, 200), (10_000.0, 1000), (500.0, 200)):
+        quick = replace(run, time=np.arange(TIME.size) / rate)
+        (disturbed,) = runs_of(quick.disturbed([Stall(100.0 / rate, 109.5 / rate)]))
+        assert disturbed.tolist() == [100, 110 + samples]
+    assert not run.disturbed([]).any()
+    (rest,) = run.resting()
+    assert rest.size == pytest.approx(1.8 / T, abs=5) and rest == pytest.approx(
+        run.error[10_000 - rest.size : 10_000], abs=1e-9
+    )
+    # Half of the way is enough to judge by.
+    for gone, enough in ((0.49, True), (0.51, False)):
+        assert motion().judgeable(gone * 8.0 > TIME) == enough
+    mask = TIME < 1.0
+    assert (
+        motion(SMALL + bump(0.5, 2e-6)).calm(mask) == pytest.approx(0.1e-6)
+        and motion().calm(mask | ~mask) == motion().pp
+    )
+
+
+def test_late_commands_are_those_of_the_rarest_hundredth_and_no_delay_is_allowed_less_than_described():
+    for longest, allowed in ((1.5, 0.3), (0.5, 0.2)):
+        driver = {"stage.rate": 2000, "stage.drive.delay": 0.2, "stage.uncertainty.longest_delay": longest}
+        for delay, late in ((allowed + 0.01, True), (allowed, False)):
+            assert (late_commands(np.full(200, delay * T), driver) != "") == late
+        # Of 2,000 commands the 20 that come latest may be late.
+        for number, late in ((19, False), (22, True)):
+            assert (late_commands(np.where(np.arange(2000) < number, 0.9, 0.1) * T, driver) != "") == late
+
+
+def test_modes_take_margins_where_they_ring_at_the_crossing_and_none_where_there_are_none():
+    mode = "stage.platform.modes.first"
+    ringing = {f"{mode}.frequency": 60.0, f"{mode}.damping": 0.002}
+    assert destabilised(ringing) and not destabilised({}) and not destabilised({"control.law": "of another version"})
+    bounds = all_bounds({"controller": ringing})
+    assert bounds["modes"] == (60.0,) and bounds["destabilised"]()
+
+
+def test_the_span_of_a_map_is_its_survey_and_the_run_out_on_both_sides(cosine_map):
+    first, last = cosine_map.span
+    for parameters, runout in (
+        ({"feedforward": {"stage.guide.runout": 0.03}}, 0.03),
+        ({}, StageParameters().guide.runout),
+    ):
+        bounds = all_bounds(parameters, cosine_map)
+        assert bounds["span"] == pytest.approx((first - runout, last + runout))
+        assert bounds["map_pp"] == pytest.approx(20e-6, rel=1e-3)
 
 
 def guide_map(deviation, step: float) -> StraightnessMap:
