@@ -220,7 +220,7 @@ def test_what_bends_after_a_reversal_or_creeps_is_not_sliding_and_a_little_slidi
         assert force_balance(*bristled([0.0, there, 0.0, there])) == approx((0.007, STIFFNESS), rel=2e-3)
     slid = [0.0, 30e-6, 0.0, 3e-6]
     assert force_balance(*bristled(slid, creeping=0.15)) == approx((0.007, STIFFNESS), rel=0.05)
-    assert force_balance(*bristled(slid, creeping=0.3)).friction > 0.01
+    assert force_balance(*bristled(slid, creeping=0.3)).friction > 0.008
     # 500 samples are 5 µm at this speed; 2 µm before them bend, and the filter takes some at a turn.
     for back, known in ((8.5e-6, True), (6e-6, False)):
         for way in (1.0, -1.0):

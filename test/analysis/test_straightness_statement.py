@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from surveys import one_run
 from tiers import nightly
 
 from straightcomp_ros.analysis import straightness_statement as statement
 from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Stroke, StrokeRecord, whole_ways
-from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, stated, statements
+from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, map_input, stated, statements
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
+from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.survey_runs import cubic_spline
 from straightcomp_ros.straightness.survey_table import WAYS
 
@@ -93,6 +95,75 @@ def test_a_curve_that_is_known_exactly_has_the_straightness_that_it_has_without_
     ends = statement._extremes(curve, np.zeros((1, X.size, 1)), np.ones((X.size, 1), bool))
     (found,) = statement._straightness(X, *ends)
     assert found == pytest.approx([*about_lines(X, curve[0], np.ones_like(X)).values()], rel=1e-9)
+
+
+@pytest.mark.parametrize(("noise", "motion", "within"), [(NOISE, 0.0, 0.1), (NOISE, 2.0 * NOISE, 0.3), (0.0, 0.0, 0.2)])
+def test_what_readings_add_to_a_straightness_is_what_drawn_strokes_show(noise, motion, within):
+    """By brute force: strokes whose readings have this ``noise``, and a platform that moves itself. Without any the
+    readings stand still, and the truth has what they hide."""
+    random = np.random.default_rng(5)
+
+    def drawn(half):
+        return math.sqrt(3.0) * half * random.uniform(-1.0, 1.0, X.size)
+
+    true = [SHAPE + random.normal(0.0, motion, X.size) if motion else SHAPE for _ in range(20)]
+    read = [one + drawn(noise) for one in true]
+    of_read, of_true = ([[*about_lines(X, one, np.ones_like(X)).values()] for one in of] for of in (read, true))
+    if not noise:
+        # Each piece of x hides an error of its own.
+        hidden = [np.interp(X, X[10::20], drawn(NOISE)[10::20]) for _ in range(20)]
+        of_true = [[*about_lines(X, SHAPE + one, np.ones_like(X)).values()] for one in hidden]
+    added = np.subtract(of_read, of_true)
+    strokes = [(X / 0.3, X, one) for one in read]
+    found = stated("after", "forward", strokes, [Input("encoder", NOISE)])
+    for one, by_line in zip(found, added.T, strict=True):
+        assert one.budget[1].correction == pytest.approx(-by_line.mean(), rel=within)
+        # Of the mean of twenty strokes.
+        assert 0.4 < one.budget[1].share / (by_line.std() / math.sqrt(20.0)) < 5.0
+        assert one.measured == pytest.approx(np.mean(of_read, axis=0)[LINES.index(one.line)], rel=1e-3)
+
+
+def test_errors_of_a_map_that_no_encoder_sees_widen_the_truth_as_drawn_ones_do():
+    random = np.random.default_rng(6)
+    straight = about_lines(X, SHAPE, np.ones_like(X))
+    errors = (cubic_spline(POINTS, random.normal(0.0, NOISE, POINTS.size))(X) for _ in range(150))
+    drawn = np.array([[*about_lines(X, SHAPE + one, np.ones_like(X)).values()] for one in errors])
+    strokes = [(X / 0.3, X, SHAPE)]
+    found = stated("after", "forward", strokes, [Input("map", NOISE, POINTS, seen=False)], repeats=False)
+    for one, of_line in zip(found, drawn.T, strict=True):
+        assert one.budget[0].correction == pytest.approx(of_line.mean() - straight[one.line], rel=0.15)
+        assert one.budget[0].share == pytest.approx(of_line.std(), rel=0.2)
+    # They are the same in all strokes, and what one error in all does is that of one.
+    again = stated("after", "forward", 4 * strokes, [Input("map", NOISE, POINTS, seen=False)], repeats=False)
+    for one, four in zip(found, again, strict=True):
+        assert four.budget[0].share == pytest.approx(one.budget[0].share, rel=0.05) and four.strokes == 4
+    # An error that is everywhere the same is none of straightness.
+    form = np.ones((POINTS.size, 1))
+    for one in stated("after", "forward", strokes, [Input("map", NOISE, POINTS, False, form)], repeats=False):
+        assert one.budget[0].share == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_smoothed_map_has_as_many_independent_points_as_its_smaller_error_leaves_information(cosine_map):
+    x = np.linspace(0.0, 1.76, 353)
+    random = np.random.default_rng(7)
+    survey = one_run(x, 10e-6 * np.cos(2.0 * np.pi * 2.5 * x / 1.76) + random.normal(0.0, 0.2e-6, x.size))
+    smooth, rough = (StraightnessMap(survey, MapParameters(smooth=how)) for how in ("auto", "none"))
+    for one in (smooth, rough):
+        of_map = map_input(one, seen=True)
+        assert of_map.points[[0, -1]] == pytest.approx(one.span) and of_map.seen
+        # As much information: so many errors of the map tell of a mean what those of the survey's points tell.
+        ratio = of_map.points.size / of_map.uncertainty**2 / (x.size / one.noise.point**2)
+        assert ratio == pytest.approx(1.0, rel=0.05)
+    assert map_input(smooth, True).points.size < 0.5 * x.size and map_input(rough, True).points.size == x.size
+
+
+def test_pieces_of_a_way_are_equal_and_their_mean_curve_is_that_of_all_strokes():
+    place = statement._piece_of(X)
+    assert (place.min(), place.max()) == (0, 199) and np.ptp(np.bincount(place)) <= 1
+    x, mean, samples = statement._mean_curve([(X, X, SHAPE), (X, X, 3.0 * SHAPE)])
+    assert x == pytest.approx([X[place == one].mean() for one in range(200)])
+    assert mean == pytest.approx([2.0 * SHAPE[place == one].mean() for one in range(200)])
+    assert samples == pytest.approx(np.bincount(place))
 
 
 @pytest.mark.parametrize(("points", "certain", "left"), [(3, None, True), (4, None, False), (5, 2, True)])
