@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.map_building import BuiltMap
-from straightcomp_ros.analysis.pictures import as_text, save_whole, show_grid
+from straightcomp_ros.analysis.pictures import as_text, legend_above, save_whole, show_grid
 from straightcomp_ros.analysis.straightness_statement import COVERAGE_FACTOR
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, SOFT, VERMILION
 from straightcomp_ros.bags.information import origin
@@ -64,9 +64,7 @@ def plot_map(built: BuiltMap, path: Path, machine: str = "") -> None:
         axes.tick_params(labelsize=7, labelbottom=True)
         show_grid(axes)
         axes.margins(x=0.01)
-        low, high = axes.get_ylim()
-        axes.set_ylim(low, high + 0.2 * (high - low))
-        axes.legend(fontsize=6.5, ncols=5, loc="upper center")
+        legend_above(axes, ncols=5, fontsize=6.5)
     save_whole(figure, path)
 
 

@@ -46,10 +46,10 @@ def plot_run(record: StrokeRecord, straightness: StraightnessMap, metrics: Metri
         _shade(axes, record)
     plot_error(error, record, straightness, metrics)
     moving = record.moving
-    _finish(error, "Compensation error r − y", "time / s", "error / µm", 4)
+    _finish(error, "Compensation error r − y", "time / s", "error / µm", ncols=4)
     label = f"law {as_text(record.law)}: {metrics.control_rms_step * 1e3:.3g} mA RMS from sample to sample"
     current.plot(moving.time, moving.current * 1e3, color=BLACK, linewidth=0.6, label=label)
-    _finish(current, "Control current", "time / s", "control current $i_c$ / mA", 3)
+    _finish(current, "Control current", "time / s", "control current $i_c$ / mA", ncols=3)
     save_whole(figure, path)
 
 
@@ -58,13 +58,13 @@ def plot_error(axes: Axes, record: StrokeRecord, straightness: StraightnessMap, 
     is known; ``straightness`` is the map of its reference, ``metrics`` its figures."""
     moving = record.moving
     truth = moving.true_error(straightness)
-    for name, values, pp, rms, colour, width in (
-        ("encoder", moving.r - moving.y, metrics.encoder_pp, metrics.encoder_rms, BLUE if truth is None else GREY, 0.6),
-        ("true", truth, metrics.true_pp, metrics.true_rms, BLUE, 0.8),
+    for name, values, pp, rms, colour in (
+        ("encoder", moving.r - moving.y, metrics.encoder_pp, metrics.encoder_rms, BLUE if truth is None else GREY),
+        ("true", truth, metrics.true_pp, metrics.true_rms, BLUE),
     ):
         if values is not None and pp is not None and rms is not None:
             label = f"{name}: {with_digits(pp * 1e6, 2)} µm p-p, {with_digits(rms * 1e6, 3)} µm RMS"
-            axes.plot(moving.time, values * 1e6, color=colour, linewidth=width, label=label)
+            axes.plot(moving.time, values * 1e6, color=colour, linewidth=0.7, label=label)
 
 
 def as_text(text: str) -> str:
@@ -103,7 +103,7 @@ def _straightness(
     seen = "map + encoder" if record.guide is None else "true"
     enlarged = f"After, enlarged ({seen}; lines: mean over {length_mm:.2g} mm)"
     for axes, title in ((both, "Straightness before and after"), (after, enlarged)):
-        _finish(axes, title, "slider position x / mm", "deviation / µm", 2)
+        _finish(axes, title, "slider position x / mm", "deviation / µm", ncols=2)
 
 
 def _shade(axes: Axes, record: StrokeRecord) -> None:
@@ -117,10 +117,10 @@ def _shade(axes: Axes, record: StrokeRecord) -> None:
         named.add(stroke.direction)
 
 
-def _finish(axes: Axes, title: str, x: str, y: str, legend_columns: int) -> None:
+def _finish(axes: Axes, title: str, x: str, y: str, ncols: int) -> None:
     label(axes, title, x, y)
     axes.margins(x=0.01)
-    legend_above(axes, legend_columns)
+    legend_above(axes, ncols)
 
 
 def label(axes: Axes, title: str, x: str, y: str) -> None:
@@ -131,11 +131,11 @@ def label(axes: Axes, title: str, x: str, y: str) -> None:
     show_grid(axes)
 
 
-def legend_above(axes: Axes, columns: int) -> None:
+def legend_above(axes: Axes, ncols: int, fontsize: float = 8.0) -> None:
     """A legend at the top; the y axis is extended by a quarter, so that the legend covers no curve."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.25 * (high - low))
-    axes.legend(loc="upper center", fontsize=8, ncols=columns)
+    axes.legend(loc="upper center", fontsize=fontsize, ncols=ncols)
 
 
 def show_grid(axes: Axes) -> None:

@@ -155,6 +155,9 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
     assert x_mm == pytest.approx((record.true_x if truth else record.x)[moving] * 1e3)
     assert np.ptp(before) == pytest.approx(metrics.uncompensated_pp * 1e6)
     assert np.ptp(compensated) == pytest.approx(metrics.residual_pp * 1e6)
+    for axes in drawn[0].axes:
+        (bottom, top), highest = axes.get_ylim(), max(np.max(values) for _, values in lines(axes))
+        assert 0.2 < (top - highest) / (top - bottom) < 0.3
     for (x, values), (centres, means) in zip(lines(after)[::2], lines(after)[1::2], strict=True):
         assert x.min() <= centres.min() and centres.max() <= x.max()
         assert values.min() <= means.min() and means.max() <= values.max()
@@ -180,10 +183,37 @@ def test_the_curves_of_the_report_are_thin_and_in_its_units_and_another_run_begi
     assert np.ptp(encoder.y) == pytest.approx(found.metrics.encoder_pp * 1e6)
     assert np.ptp(true.y) == pytest.approx(2.0, abs=0.01)
     assert min(theirs.x) == pytest.approx(min(true.x), abs=0.05) and theirs.name == "b"
-    spectrum, _ = report._spectrum(found, other).data
+    spectrum, of_other = report._spectrum(found, other).data
+    assert (spectrum.name, of_other.name) == ("this run", "b")
+    current = report._current(found).data[0]
+    assert max(current.y) == pytest.approx(1.0) and current.x[-1] == pytest.approx(record.moving.time[-1], abs=0.01)
     peak = int(np.argmax(spectrum.y))
     assert spectrum.x[peak] == pytest.approx(50.0, abs=1.0)
     assert spectrum.y[peak] == pytest.approx(math.sqrt(0.5 / 1.5), rel=0.05)
+
+
+def test_the_extremes_of_a_long_curve_are_all_kept_and_a_short_one_is_kept_whole():
+    for count in (6000, 6001, 9001, 25_000, 100_003):
+        values = np.random.default_rng(count).normal(size=count)
+        kept = report._extremes(values)
+        assert (np.diff(kept) > 0).all() and kept[-1] >= count - 50 and kept.size <= 9000
+        for begin, end in ((0, 100), (count // 2, count // 2 + 200), (0, count)):
+            piece = values[begin:end]
+            within = kept[(kept >= begin) & (kept < end)]
+            assert values[within].max() >= np.sort(piece)[-2 if end < count else -1] - 0.5
+        assert kept.size == count or count > 6000
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.4e-6, 100e-6])
+def test_a_histogram_of_the_timing_counts_every_sample_in_bars_of_a_microsecond_or_more(make_record, assessed, spread):
+    latency, lateness = 200e-6 + spread * np.linspace(0.0, 1.0, 500), 200e-6 + 0.5 * spread * np.linspace(0.0, 1.0, 100)
+    timing = report._timing(assessed(make_record(), latency=latency, lateness=lateness))
+    for bars, values in zip(timing.data, (latency, lateness), strict=True):
+        assert sum(bars.y) == values.size and bars.width == pytest.approx(max(1.0, spread * 1e6 / 200.0))
+        assert np.average(bars.x, weights=bars.y) == pytest.approx(values.mean() * 1e6, abs=0.5 * bars.width)
+    low, high = 10.0 ** np.array(timing.layout.yaxis.range)
+    assert low < 1.0 and max(timing.data[0].y) < high <= 2.0 * max(timing.data[0].y) + 1.0
+    assert report._timing(assessed(make_record(), latency=np.empty(0), lateness=np.empty(0))) is None
 
 
 def test_events_are_in_the_report_in_the_units_of_their_columns_and_forty_at_most():

@@ -1,5 +1,6 @@
 """Maps of runs: which runs and points are rejected, and what is taken out of the mean."""
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,3 +94,23 @@ def test_below_the_floor_nothing_is_an_outlier_and_runs_that_agree_are_kept_whol
     values = guide + noisy(4) / 60.0
     values[1, [5, 6]] += (0.9 * FLOOR, 1.1 * FLOOR)
     assert np.argwhere(disagreement(values, 6.0)[1]).tolist() == [[1, 6]]
+
+
+def test_a_map_names_the_contents_of_its_file_or_of_all_files_of_its_bag_in_order(tmp_path):
+    whole = bytes(range(256)) * 5000
+    (tmp_path / "survey.csv").write_bytes(whole)
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for name, part in (("b.mcap", whole[700_000:]), ("a.mcap", whole[:700_000]), ("metadata.yaml", b"other")):
+        (bag / name).write_bytes(part)
+    x = np.linspace(0.0, 0.4, 81)
+    survey = one_run(x, 5e-6 * np.sin(2.0 * np.pi * x / 0.3))
+    for source in (tmp_path / "survey.csv", bag):
+        built = build(survey, source, Choices(10e-3, 6.0))
+        assert built.provenance["source"] == f"{source.name}, sha256 {hashlib.sha256(whole).hexdigest()[:16]}"
+        assert "step 10 mm" in built.provenance["choices"]
+        assert built.provenance["runs"] == "1 forward, 0 backward; rejected runs: none; rejected points: 0"
+    shown = built.figures()
+    assert (shown["first_mm"], shown["last_mm"], shown["points"]) == (0.0, 400.0, 81)
+    assert shown["correction_pp_um"] == pytest.approx(np.ptp(5.0 * np.sin(2.0 * np.pi * x / 0.3)), rel=1e-3)
+    assert (shown["rejected_runs"], shown["partial_runs"], shown["samples"]) == (0, 0, 0)

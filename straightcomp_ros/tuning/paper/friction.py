@@ -74,7 +74,7 @@ def stick_slip(machine: Machine) -> PaperFigure:
     label(errors, "Error r − y (encoder)", "time / s", "error / µm")
     label(velocity, "Velocity", "time / s", "velocity / (µm/s)")
     for axes in places:
-        legend_above(axes, columns=3)
+        legend_above(axes, ncols=3)
 
     design = machine.control.smc
     exact = following_error_gain(design, OMEGA) * AMPLITUDE

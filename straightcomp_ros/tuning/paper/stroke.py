@@ -57,7 +57,7 @@ def surveyed_guide(machine: Machine) -> PaperFigure:
     label(above, "Deviation of the guide", "slider position x / mm", "deviation δ / µm")
     label(below, "Runs relative to the map", "slider position x / mm", "run − map / nm")
     for axes in (above, below):
-        legend_above(axes, columns=3)
+        legend_above(axes, ncols=3)
         axes.margins(x=0.01)
     synthetic = "no independent result: the survey is synthetic, scaled to the paper's figure"
     name = "Fig. 2: straightness of the guide, p-p"
@@ -136,6 +136,6 @@ def _stroke_drawn(title: str, record: StrokeRecord, guide: StraightnessMap) -> F
     limit = 1.1 * float(np.abs(error_um[motion.window]).max())
     for axes in (over_x, over_time):
         axes.set_ylim(-limit, limit)
-        legend_above(axes, columns=2)
+        legend_above(axes, ncols=2)
         axes.margins(x=0.01)
     return figure
