@@ -423,7 +423,7 @@ def test_of_a_sensor_the_noise_is_that_of_its_means_and_a_guide_that_differs_by_
         fit = judged_motion(record, cosine_map, {}, sensor=guide + error).fit
         assert fit.noise == pytest.approx(noise_left, rel=0.05, abs=3e-9)
         assert fit.left_pp == pytest.approx(left, rel=0.15, abs=0.03e-6)
-        assert fit.guide_pp == pytest.approx(true.guide_pp, rel=0.3)
+        assert fit.guide_pp == pytest.approx(true.guide_pp, abs=left + 0.1e-6)
     assert (true.noise, true.left_pp) == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
