@@ -14,7 +14,7 @@ from straightcomp_ros.analysis import html_report as report
 from straightcomp_ros.analysis import pictures as plot
 from straightcomp_ros.analysis.assessment import Interval
 from straightcomp_ros.analysis.error_detail import SLIP, StickSlip, stick_slips
-from straightcomp_ros.analysis.html_page import blocks, worded
+from straightcomp_ros.analysis.html_page import blocks, line_figure, worded
 from straightcomp_ros.analysis.metrics import evaluate, stroke_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord, motion_of
 
@@ -202,6 +202,37 @@ def test_the_extremes_of_a_long_curve_are_all_kept_and_a_short_one_is_kept_whole
             within = kept[(kept >= begin) & (kept < end)]
             assert values[within].max() >= np.sort(piece)[-2 if end < count else -1] - 0.5
         assert kept.size == count or count > 6000
+
+
+def test_the_head_and_the_strokes_of_a_report_say_which_machine_when_and_how_much(make_record, assessed):
+    record = make_record(0.3e-6)
+    serial = {"driver": {"stage.serial": "A7", "stage.name": "two"}}
+    for simulated, begin_ns, parameters, said in (
+        (
+            "simulated",
+            1_700_000_000_000_000_000,
+            serial,
+            "stage “two”, serial number A7, simulated machine; began 2023-11-14 22:13",
+        ),
+        ("can", 1_000_000_000, serial, "stage “two”, serial number A7, real machine; report"),
+        ("", 0, {}, "stage “unknown”, machine not recorded; report"),
+    ):
+        known = {name: {**of, "hardware": simulated} for name, of in parameters.items()}
+        every = np.round(record.time * 1e9).astype(np.int64) + begin_ns
+        found = assessed(record, stamps=every, parameters=known, begin_ns=begin_ns)
+        assert said in report._whose(found)
+    errors, straightness = str(report._strokes(found)).split("</table>")[:2]
+    assert errors.count("<tr>") == straightness.count("<tr>") == 3
+    assert "before" in straightness and "before" not in errors and "RMS" in errors and "RMS" not in straightness
+
+
+def test_intervals_are_marked_where_they_are_and_named_once():
+    figure = line_figure("x", "y")
+    report._mark(figure, [Interval(0.1 * k, 0.1 * k + 0.05, 3) for k in range(3)], "lost", "#000000")
+    shapes = figure.layout.shapes
+    assert len(shapes) == 3 and [one.text for one in figure.layout.annotations] == ["lost"]
+    assert [(one.x0, one.x1) for one in shapes] == [pytest.approx((0.1 * k, 0.1 * k + 0.05)) for k in range(3)]
+    assert figure.layout.annotations[0].x == pytest.approx(0.0, abs=0.06)
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.4e-6, 100e-6])
