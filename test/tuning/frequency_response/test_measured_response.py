@@ -10,14 +10,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from straightcomp_ros.control.excitation import (
-    ExcitationParameters,
     FrequencyResponseError,
     MultisineParameters,
-    made_injection,
     multisine,
-    simple_currents,
 )
-from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters, make_law
+from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import LoopResponse, loop_margins, loop_response
 from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.offline.starts import with_values
@@ -267,91 +264,6 @@ def test_the_measured_current_is_part_of_the_loop_of_a_law_that_answers_to_it():
     assert abs(seeing / loop_margins(law, STAGE).gain_high - 1.0) > 0.02
 
 
-HZ = 2000.0
-
-
-def test_each_used_period_has_its_power_at_the_lines_alone_and_as_much_of_it_as_asked():
-    excitation = multisine(MultisineParameters(current=0.2), HZ, flat)
-    used = excitation.used(excitation.currents)
-    assert used.shape == (40, 2000)
-    spectrum = np.abs(np.fft.rfft(used, axis=1)) / 1000.0
-    others = np.delete(spectrum, excitation.bins, axis=1)
-    assert others.max() < 1e-12
-    np.testing.assert_allclose(np.sqrt(np.mean(used**2, axis=1)), 0.2)
-    assert excitation.frequencies[0] == 2.0 and excitation.frequencies[-1] == 500.0
-    np.testing.assert_allclose(excitation.frequencies, excitation.bins * 1.0)
-
-
-@pytest.mark.parametrize(("period", "lead"), [(0.2, 400), (0.8, 1000), (1.0, 1000), (4.0, 4000)])
-def test_a_draw_of_other_phases_begins_before_its_period_and_goes_over_into_it_without_a_step(period, lead):
-    parameters = MultisineParameters(lowest=5.0, highest=20.0, lines=8, period=period, draws=3)
-    excitation = multisine(parameters, HZ, flat)
-    currents, used, each = excitation.currents, excitation.used(excitation.currents), lead + excitation.samples
-    assert currents.size == 3 * each == round(parameters.seconds * HZ) and currents[0] == 0.0
-    for draw, one in enumerate(used):
-        settled = currents[draw * each + lead // 2 : draw * each + lead]
-        np.testing.assert_allclose(settled, one[-settled.size :], atol=1e-12)
-    assert np.abs(used[0] - used[1]).max() > 0.1
-    assert np.abs(np.diff(currents)).max() < 1.5 * np.abs(np.diff(used, axis=1)).max()
-
-
-def amplitudes_under(parameters, loop):
-    """The lines of a multisine, and the sizes (n,) in A of their currents."""
-    excitation = multisine(parameters, HZ, loop)
-    spectrum = np.fft.rfft(excitation.used(excitation.currents)[0])
-    return excitation.frequencies, np.abs(spectrum)[excitation.bins] / 1000.0
-
-
-def test_where_the_loop_takes_the_signal_back_there_is_more_of_it_by_a_bounded_factor_and_within_the_travel():
-    def loop(frequencies):
-        sensitivity = np.minimum(1.0, frequencies / 100.0).astype(complex)
-        return LoopResponse(flat(frequencies).plant, 1.0 / sensitivity - 1.0, sensitivity)
-
-    def soft(frequencies):
-        return LoopResponse(1.0 / frequencies.astype(complex) ** 2, 0j * frequencies, 1.0 + 0j * frequencies)
-
-    frequencies, amplitudes = amplitudes_under(MultisineParameters(), loop)
-    assert amplitudes[0] / amplitudes[-1] == pytest.approx(3.0)
-    middle = int(np.argmin(np.abs(frequencies - 60.0)))
-    assert amplitudes[middle] / amplitudes[-1] == pytest.approx(100.0 / frequencies[middle])
-    frequencies, amplitudes = amplitudes_under(MultisineParameters(travel=6e-4), soft)
-    assert np.sqrt(0.5 * np.sum((amplitudes / frequencies**2) ** 2)) <= 1e-4 * (1.0 + 1e-9)
-
-
-def test_the_highest_frequency_follows_the_rate_and_a_lowest_one_of_less_than_one_period_is_refused():
-    for rate, highest in ((1000.0, 400.0), (2000.0, 500.0), (8000.0, 2000.0)):
-        assert multisine(MultisineParameters(), rate, flat).frequencies[-1] == highest
-    assert multisine(MultisineParameters(highest=700.0), 8000.0, flat).frequencies[-1] == 700.0
-    with pytest.raises(FrequencyResponseError, match=r"lowest frequency 0.5 Hz with a period of 1 s; allowed: >= 1 Hz"):
-        multisine(MultisineParameters(lowest=0.5), HZ, flat)
-
-
-def injected(parameters, law=OPEN_LOOP):
-    """All currents (n,) in A of an injection."""
-    injection = made_injection(parameters, make_law(ControlParameters(law=law), STAGE), STAGE)
-    currents = []
-    while not injection.finished:
-        currents.append(injection.step(0.0, 0.0))
-    return np.array(currents)
-
-
-def test_a_shake_takes_each_step_back_and_repeats_with_its_seed():
-    shake = ExcitationParameters(signal="shake", current=0.01, duration=0.25)
-    currents = simple_currents(shake, STAGE)
-    assert currents.size == 500 and np.abs(currents).max() <= 0.01 and (currents[::2] == -currents[1::2]).all()
-    assert (simple_currents(shake, STAGE) == currents).all()
-    assert np.abs(np.cumsum(currents)).max() <= 0.01
-
-
-@pytest.mark.parametrize(("signal", "sign"), [("ramp_up", 1.0), ("ramp_down", -1.0)])
-def test_a_ramp_goes_evenly_to_its_current_but_to_the_limit_at_most_and_drops_to_zero(signal, sign):
-    currents = sign * injected(ExcitationParameters(signal=signal, current=0.5, duration=2.0))
-    assert currents.size == 4000 and currents[0] == 0.0 and currents[-1] == 0.0
-    assert currents[-2] == pytest.approx(0.5, rel=1e-3)
-    assert np.allclose(np.diff(currents[:-1]), 0.5 / 3999)
-    assert np.abs(injected(ExcitationParameters(signal=signal, current=10.0))).max() == STAGE.highest_current
-
-
 SMALL = {"platform.stop": 1.5e-4, "actuator.bias_current": 0.2, "actuator.current_limit": 0.18}
 
 
@@ -387,10 +299,3 @@ def test_what_is_not_chosen_of_the_excitation_follows_from_the_stage_that_is_mea
     (excitation,) = seen
     assert (excitation.current, excitation.travel) == pytest.approx((current, travel))
     assert facts or excitation == MultisineParameters()
-
-
-def test_a_multisine_is_injected_under_a_law_with_a_slow_rise():
-    parameters = ExcitationParameters(draws=3)
-    currents = injected(parameters, "smc_observer")
-    assert currents.size == parameters.seconds * STAGE.rate
-    assert np.abs(currents[:10]).max() < 0.05 * np.abs(currents).max()
