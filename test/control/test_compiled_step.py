@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from straightcomp_ros.control.excitation import Injection
+from straightcomp_ros.control.law import Law, flat
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
 from straightcomp_ros.model.plant import advance
 from straightcomp_ros.stage.description import StageParameters
@@ -34,6 +35,19 @@ def test_the_compiled_step_equals_the_function_to_the_last_bit(name):
         state, expected = law.function(law.gains, state, *sample)
         # repr shows every bit, and NaN equals NaN.
         assert repr(law.step(*sample)) == repr(expected)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_answers_from_any_state_with_the_reference_at_rest_at_zero_and_keeps_its_own(name):
+    law = make_law(ControlParameters(law=name), STAGE)
+    plain = Law(law.gains, law.start, law.function)
+    before = flat(law.start(2e-6))
+    for y, current in ((1e-6, 0.1), (-3e-7, math.nan)):
+        state, expected = law.function(law.gains, law.start(2e-6), y, 0.0, 0.0, 0.0, current)
+        for one in (law.prepare(), plain):
+            one.reset(0.0)
+            assert repr(one.answer_from(before, y, current)) == repr((flat(state), expected))
+            assert flat(one._state) == flat(law.start(0.0))
 
 
 @pytest.mark.parametrize("name", LAWS)

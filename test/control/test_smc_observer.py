@@ -210,6 +210,13 @@ def test_the_law_goes_over_to_its_free_gains_as_friction_vanishes():
     for size in (1e-12, 0.4):
         assert np.array(_stiffness(gains, size * gains.counting, 0.0)) == pytest.approx(gains.free)
     assert np.array(_stiffness(gains, 0.75 * gains.counting, 0.0)) == pytest.approx(gains.slow)
+    # Between, each gain goes evenly by factors: from quiet to slow, and from slow to free.
+    for size, (one, other, share) in {
+        0.9: (gains.quiet, gains.slow, 0.4),
+        0.6: (gains.slow, gains.free, 0.6),
+    }.items():
+        expected = np.exp((1.0 - share) * np.log(one) + share * np.log(other))
+        assert np.array(_stiffness(gains, size * gains.counting, 0.0)) == pytest.approx(expected)
     assert gains.slow[:2] == gains.quiet[:2] and gains.slow.third == gains.free.third
     assert _stiffness(gains, gains.counting, 0.0) == gains.quiet
     unexplained = (10.0 * gains.misfit) ** 2
@@ -432,6 +439,32 @@ def test_the_misfit_is_what_friction_of_any_size_does_not_explain():
     assert math.sqrt(explained.misfit_square) < 0.005
     # 20 Hz pass a smoothing of some 60 Hz nearly whole.
     assert math.sqrt(unexplained.misfit_square) == pytest.approx(0.1 / math.sqrt(2.0), rel=0.1)
+
+
+def test_the_fit_is_recursive_least_squares_with_forgetting():
+    """In matrices, for any state: P ← (P − k kᵀ/(λ + φᵀPφ))/λ, and the part that is missing times P φ/(λ + φᵀPφ)."""
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        root, (unit, others, *before) = random.normal(size=(3, 3)), random.normal(0.0, 1.0, 9)
+        p, r, lags = root @ root.T, 1e-5 * random.normal(), Lags(*random.normal(0.0, 0.2, 5).tolist())
+        c, b, s, misfit, square = before[0], before[1], 1.0 + 0.1 * before[2], before[3], before[4] ** 2
+        fit = START._replace(constant=c, slope=b, size=s, misfit=misfit, misfit_square=square, lags=lags)
+        fit = fit._replace(**{f"p{i}{j}": p[i, j] for i in range(3) for j in range(i, 3)})
+        found = fitted(GAINS, WEIGHTS, fit, r, 1e-3, unit, others)
+        assert found.lags == lagged(WEIGHTS, lags, unit)
+        phi = np.array([1.0, r / GAINS.travel, found.lags.third])
+        left = others - c - b * phi[1]
+        k = p @ phi
+        spread = GAINS.kept + phi @ k
+        smoothed = misfit + GAINS.smooth * (left - misfit)
+        after = p - np.outer(k, k) / spread
+        # The trace is far below its bound.
+        after /= GAINS.kept
+        c, b, s = np.array([c, b, s]) + k * left / spread
+        upper = after[np.triu_indices(3)]
+        s = min(max(s, GAINS.smallest), GAINS.largest)
+        expected = [c, b, s, *upper, smoothed, square + GAINS.mean * (smoothed**2 - square)]
+        assert np.trace(p) < 30.0 and found[:11] == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_while_the_reference_rests_the_fit_is_paused():
