@@ -13,6 +13,7 @@ from straightcomp_ros.control.filters import (
     RollOffParameters,
     filtered,
     filters_of,
+    turned_gain,
 )
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.margins import (
@@ -92,6 +93,19 @@ def test_an_oscillator_adapts_as_fast_as_its_width_says():
     poles = np.linalg.eigvals(closed_loop(plant, linearised(make_law(hum, STAGE))))
     nearest = poles[np.abs(poles - np.exp(2j * math.pi * 50.0 * PERIOD)).argmin()]
     assert -math.log(abs(nearest)) / PERIOD == pytest.approx(2.0 * math.pi * 2.0, rel=0.15)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_the_gain_of_an_oscillator_moves_its_pole_straight_inward_by_its_width_from_where_a_leak_leaves_it(number):
+    filters = FilterParameters(mains=HumParameters(60.0, 3, width=2.0))
+    gains = [0j] * number + [3.0 - 0.5j]
+    turn = complex(*filters_of(filters, PERIOD, tuple(gains))[4 + number][:2])
+    # It forgets a fiftieth as fast as the width says.
+    rate = complex(-2.0 * math.pi * 0.02 * 2.0, 2.0 * math.pi * 60.0 * (number + 1))
+    assert turn == pytest.approx(np.exp(rate * PERIOD), rel=1e-12)
+    moved, tried = 0.3 * np.exp(2j), 1e-3
+    gain = turned_gain(filters, number, PERIOD, tried, turn * (1.0 + moved * tried))
+    assert moved * gain == pytest.approx(-2.0 * math.pi * 2.0 * PERIOD, rel=1e-9)
 
 
 def test_the_sampled_plant_has_the_response_of_its_modes():

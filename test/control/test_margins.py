@@ -1,6 +1,7 @@
 """Margins of the sampled loop: its own poles and borders, the textbook, and the continuous plant."""
 
 import dataclasses
+import itertools
 import re
 
 import numpy as np
@@ -198,6 +199,27 @@ def test_a_law_that_has_its_margins_is_taken(control, stage):
 def test_a_refusal_names_the_group_of_the_law_s_own_gains(law):
     group = re.search(r"'control\.(\w+)\.\*'", missing_margin(ControlParameters(law=law), on(rate=500)))[1]
     assert group == ("smc" if law == "linear" else law)
+
+
+def test_facts_are_off_to_both_sides_of_their_uncertainty_in_each_combination():
+    ranges = {"mass": 0.1, "force": 0.2, "air_gap": 0.15, "amplifier": 2.0, "shortest_delay": 0.8, "longest_delay": 1.5}
+    stage = on(**{f"uncertainty.{name}": value for name, value in ranges.items()})
+    sides = {"mass": (0.9, 1.1), "force": (0.8, 1.2), "gap": (0.85, 1.15), "amplifier": (0.5, 2.0), "delay": (0.8, 1.5)}
+    expected = list(itertools.product(*sides.values()))
+    found = [
+        (
+            one.platform.mass / stage.platform.mass,
+            one.actuator.pole_area / stage.actuator.pole_area,
+            one.actuator.air_gap / stage.actuator.air_gap,
+            one.drive.bandwidth / stage.drive.bandwidth,
+            one.drive.delay / stage.drive.delay,
+        )
+        for one in with_facts_off(stage, tuple(sides)).values()
+    ]
+    assert np.array(found) == pytest.approx(np.array(expected))
+    # What is known exactly has one side.
+    certain = on(**{"uncertainty.mass": 0.0, "uncertainty.force": 0.0})
+    assert list(with_facts_off(certain)) == ["mass × 1, force × 1, gap × 0.9", "mass × 1, force × 1, gap × 1.1"]
 
 
 def test_a_corner_that_no_machine_can_have_hides_no_other_one():
