@@ -1,5 +1,6 @@
 """What pushes a simulated platform, and how it rings."""
 
+import cmath
 import math
 from dataclasses import replace
 
@@ -18,8 +19,16 @@ from straightcomp_ros.model.disturbances import (
     interpolated,
     locked_force,
 )
-from straightcomp_ros.model.friction import LuGreParameters
-from straightcomp_ros.model.modes import MODE_STATE, ModeParameters, ModesParameters, at_coil, at_encoder
+from straightcomp_ros.model.friction import LuGreParameters, band_value
+from straightcomp_ros.model.modes import (
+    MODE_STATE,
+    ModeParameters,
+    ModesParameters,
+    at_coil,
+    at_encoder,
+    push,
+    yielding,
+)
 from straightcomp_ros.model.plant import PlantParameters, PlatformParameters, advance, plant_state
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 
@@ -79,10 +88,39 @@ def test_drift_and_vibration_have_their_rms_frequency_and_seed():
     assert not np.array_equal(drawn(2)[0], offset)
 
 
-def test_gravity_pulls_a_tilted_platform():
-    k, state = constants(tilt=0.01), plant_state()
-    aim(k, state, MASS, 0.0, 0.0)
-    assert disturbing_force(k, state) == pytest.approx(MASS * 9.80665 * math.sin(0.01))
+def test_what_disturbs_at_each_sample_is_that_of_its_equations():
+    """In complex numbers: the vibration and its quadrature turn and decay; what is drawn keeps the RMS."""
+    random = {"drift__current": 5e-3, "drift__time": 0.05, "vibration__acceleration": 0.2, "vibration__damping": 0.1}
+    k, state = constants(seed=3, tilt=0.01, cable__drag=0.3, cable__slope=2.0, **random), plant_state()
+    offset, vibration, x, force = 0.0, 0.0, 0.1, math.nan
+    for n in range(50):
+        seconds, last, x = (3e-4 if n else 0.0), x, 0.1 + 1e-7 * n * n
+        aim(k, state, MASS, x, seconds)
+        kept, decay = (math.exp(-seconds / 0.05), math.exp(-0.1 * 60.0 * math.pi * seconds)) if n else (0.0, 0.0)
+        # Three streams of numbers, of which each sample takes one.
+        drawn = [sum(band_value(3, 12 * n + 3 * stream + i) for i in range(3)) for stream in range(3)]
+        offset = kept * offset + 5e-3 * math.sqrt(1.0 - kept**2) * drawn[0]
+        turn = decay * cmath.exp(60j * math.pi * math.sqrt(1.0 - 0.1**2) * seconds)
+        vibration = turn * vibration + 0.2 * math.sqrt(1.0 - decay**2) * complex(*drawn[1:])
+        assert state[OFFSET] == pytest.approx(offset, rel=1e-9)
+        speed = (x - last) / seconds if n else 0.0
+        before = force if n else 2.0 * x + MASS * (9.80665 * math.sin(0.01) + vibration.real)
+        force = 2.0 * x + 0.3 * math.tanh(speed / 1e-3) + MASS * (9.80665 * math.sin(0.01) + vibration.real)
+        assert disturbing_force(k, state) == pytest.approx(before, rel=1e-9)
+        state[FORCE] += seconds * state[FORCE_RATE]
+        assert disturbing_force(k, state) == pytest.approx(force, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        *("mains.force", "mains.second", "mains.third", "cogging.force", "cable.slope", "cable.drag", "tilt"),
+        *("drift.current", "vibration.acceleration", "interpolation.amplitude"),
+    ],
+)
+def test_anything_that_disturbs_is_simulated(one):
+    assert not DisturbanceParameters().machine().any
+    assert from_mapping(DisturbanceParameters, {one: 1e-5}).machine().any
 
 
 def test_the_encoder_interpolates_with_an_error_over_its_signal_period():
@@ -114,6 +152,18 @@ def test_a_platform_rings_as_its_modes_say():
             later, now = (s + sum(rung(mode, getattr(mode, at), s) for mode in modes) for s in (t + 1e-8, t))
             assert place(k, state, 0) == pytest.approx(impulse * now, abs=1e-3 * impulse * t)
             assert place(k, state, 1) == pytest.approx(impulse * (later - now) / 1e-8, abs=2e-3 * impulse)
+
+
+def test_a_push_at_the_coils_moves_mass_and_modes_by_their_participation_and_so_the_coils_themselves():
+    modes = (ModeParameters(180.0, 0.01, 0.5, -2.0), ModeParameters(600.0, 0.02, 0.3, 0.7))
+    k, state = (
+        PlantParameters(PlatformParameters(modes=ModesParameters(*modes))).constants(),
+        plant_state(velocity=1e-3),
+    )
+    push(k, state, 2e-3)
+    assert state[[1, MODE_STATE + 1, MODE_STATE + 3]] == pytest.approx([3e-3, 1e-3, 6e-4])
+    assert at_coil(k, state, 1) - 1e-3 == pytest.approx(2e-3 * yielding(k))
+    assert np.count_nonzero(state) == 3
 
 
 def test_a_force_bends_a_mode_by_its_participation():
