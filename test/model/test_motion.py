@@ -1,6 +1,8 @@
 """Strokes as waypoints, the motion between them, and what a stage refuses."""
 
+import itertools
 import math
+from contextlib import nullcontext
 from functools import partial
 from itertools import pairwise
 
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from straightcomp_ros.model.motion import (
     MotionParameters,
@@ -92,6 +95,33 @@ def test_each_cycle_begins_where_and_when_the_one_before_ended():
     assert thrice.end_ns == 3 * once.end_ns
     for at in range(0, once.end_ns, 500_000_000):
         assert [thrice.position(at + k * once.end_ns) for k in range(3)] == [once.position(at)] * 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_motion_is_the_cubic_spline_through_its_points_and_the_limits_that_hold_it_are_those_of_its_extremes(seed):
+    random = np.random.default_rng(seed)
+    times, positions, velocities = np.cumsum(random.uniform(0.5, 1.5, 5)), random.normal(size=5), random.normal(size=5)
+    velocities[-1] = 0.0
+    points = [Waypoint(round(t * 1e9), p, v) for t, p, v in zip(times, positions, velocities, strict=True)]
+    trajectory, spline = Trajectory(points), CubicHermiteSpline(times, positions, velocities)
+    for t in random.uniform(times[0], times[-1], 50):
+        found = trajectory.position(t * 1e9), *trajectory.rates(t * 1e9)
+        assert found == pytest.approx([float(spline(t, order)) for order in range(3)], rel=1e-6, abs=1e-6)
+    speed = np.abs(spline(np.linspace(times[0], times[-1], 100_001), 1)).max()
+    cubes, squares = 6.0 * spline.c[0] * np.diff(times), 2.0 * spline.c[1]
+    acceleration = np.abs([squares, cubes + squares]).max()
+    assert trajectory.largest_acceleration == pytest.approx(acceleration)
+    # Bézier's points enclose a cubic.
+    around = BPoly.from_power_basis(spline).c
+    holding = {"low": around.min(), "high": around.max(), "speed": speed, "acceleration": acceleration}
+    scale = {"low": -1.0, "high": 1.0, "speed": speed, "acceleration": acceleration}
+    for sign, less in itertools.product((1.0, -1.0), (None, *holding)):
+        limits = {name: limit + (1e-6 if name != less else -1e-3) * scale[name] for name, limit in holding.items()}
+        if sign < 0.0:
+            limits |= {"low": -limits["high"], "high": -limits["low"]}
+        turned = Trajectory([Waypoint(t, sign * p, sign * v) for t, p, v in points])
+        with pytest.raises(ValueError, match="allowed for this stage") if less else nullcontext():
+            StageLimits(**limits).check(turned)
 
 
 LIMITS = StageLimits(low=-0.02, high=1.5, speed=2.0, acceleration=2.0)
