@@ -156,6 +156,23 @@ def test_values_of_the_bands_are_spread_evenly_and_are_the_same_on_every_machine
     assert np.abs(values).max() <= 1.0
     assert values.mean() == pytest.approx(0.0, abs=0.03) and values.var() == pytest.approx(1 / 3, rel=0.05)
     assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 0.05
+    # Those of every release: a seed names a pattern.
+    found = [friction.band_value(*one) for one in ((0, 1), (7, -3), (1_000_000, 2**40))]
+    assert found == pytest.approx([-0.9422265179, -0.2588725983, -0.7679979912], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "changes"),
+    [
+        ({}, False),
+        ({"contact.bands.width": 1e-5, "contact.rest.largest": 3.0, "contact.step.time": 2.0}, False),
+        *(({name: value}, True) for name, value in (("contact.bands.fraction", 0.1), ("contact.rest.growth", 0.1))),
+        *(({"contact.step.factor": factor}, True) for factor in (0.9, 1.1)),
+    ],
+)
+def test_friction_changes_where_one_thing_changes_it(values, changes):
+    assert friction.changes(plant_with(values | SLIP).constants()) is changes
+    assert plant_with(values).constants()[friction.KIND] == (friction.CHANGING_LUGRE if changes else friction.PLAIN)
 
 
 def test_sliding_force_follows_the_bands():

@@ -34,6 +34,7 @@ from straightcomp_ros.model.plant import (
     advance_to_sample,
     commanded_plant,
     plant_state,
+    substep_for,
 )
 
 NO_FRICTION = LuGreParameters(
@@ -213,6 +214,29 @@ def test_a_platform_stuck_on_very_stiff_bristles_swings_at_its_own_rate():
     speeds = [run(stuck, State(velocity=1e-6, bias=1.0), 0.0, n * 1e-6).velocity for n in range(1, 40)]
     expected = [1e-6 * math.cos(rate * n * 1e-6) for n in range(1, 40)]
     assert speeds == pytest.approx(expected, abs=0.1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mass", "stiffness", "damping", "static", "substep"),
+    [
+        # Half over the rate of 1e6 N/m of bristles and 3e6 N/m of a flexure, over that of all dampers; the bounds.
+        (1e-3, 3e6, 0.0, 0.5, 0.5 / math.sqrt(4e6 / 1e-3) * 1e9),
+        (1e-3, 3e6, 0.0, 0.0, 0.5 / math.sqrt(3e6 / 1e-3) * 1e9),
+        (1e-3, 0.0, 80.0, 0.5, 0.5 / ((15.0 + 5.0 + 80.0) / 1e-3) * 1e9),
+        (3.0, 0.0, 0.0, 0.5, SUBSTEP_NS),
+        (1e-9, 0.0, 0.0, 0.5, 100),
+    ],
+)
+def test_a_substep_resolves_the_fastest_motion_of_the_platform(mass, stiffness, damping, static, substep):
+    lugre = LuGreParameters(static, static, bristle_damping=15.0, viscous=5.0).constants()
+    assert substep_for(mass, lugre, stiffness, damping) == pytest.approx(substep, rel=1e-3)
+
+
+def test_modes_make_the_platform_lighter_to_its_bristles():
+    modes = ModesParameters(*(ModeParameters(300.0, 0.01, coil, 1.0) for coil in (5.0, 3.0)))
+    flexible, rigid = PlatformParameters(mass=0.1, modes=modes), PlatformParameters(mass=0.1 / (1.0 + 25.0 + 9.0))
+    substeps = [PlantParameters(platform).constants()[14] for platform in (flexible, rigid)]
+    assert substeps[0] == substeps[1] < SUBSTEP_NS
 
 
 def test_a_platform_whose_modes_let_the_coils_yield_far_comes_to_rest_on_its_bristles():
