@@ -7,6 +7,7 @@ import pytest
 
 from straightcomp_ros.control.filters import (
     EMPTY,
+    NONE,
     FilterParameters,
     HumParameters,
     NotchParameters,
@@ -66,6 +67,14 @@ def test_a_notch_whose_poles_lie_above_its_zeros_costs_less_phase_below_and_gain
 def test_a_roll_off_is_a_low_pass_of_second_order():
     gain = response(FilterParameters(roll_off=RollOffParameters(200.0, 0.7)), [0.0, 200.0])
     np.testing.assert_allclose(gain, [1.0, -1j / 1.4], atol=1e-6)
+
+
+def test_without_filters_nothing_is_filtered_and_with_any_one_something_is():
+    assert filters_of(FilterParameters(), PERIOD) == NONE and not NONE.active
+    notch, roll_off = NotchParameters(180.0), RollOffParameters(200.0)
+    for one in (FilterParameters(notch), FilterParameters(second=notch), FilterParameters(roll_off=roll_off)):
+        assert filters_of(one, PERIOD).active
+    assert filters_of(FilterParameters(mains=HumParameters(50.0)), PERIOD, (1j,)).active
 
 
 def test_two_notches_and_a_roll_off_multiply():

@@ -163,6 +163,12 @@ def test_the_sampled_plant_of_a_flexible_platform_on_a_flexure_is_the_simulated_
     assert linear == pytest.approx(seen, abs=0.005 * np.ptp(seen))
 
 
+def test_damping_of_the_motion_adds_to_that_of_the_flexure():
+    platform = dataclasses.replace(STAGE.platform, modes=ModesParameters(ModeParameters(180.0, 0.01, 0.5, -2.0)))
+    less, more = (dataclasses.replace(STAGE, platform=dataclasses.replace(platform, damping=c)) for c in (20.0, 50.0))
+    np.testing.assert_allclose(sampled_plant(less, damping=30.0).a, sampled_plant(more).a, rtol=1e-12)
+
+
 @pytest.mark.parametrize("speed", [3e-6, 3e-5, 3e-4])
 def test_friction_damps_as_its_mean_over_a_gaussian_velocity_does(speed):
     friction, v = STAGE.friction, speed * np.linspace(-8.0, 8.0, 100_001)

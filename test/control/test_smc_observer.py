@@ -10,9 +10,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.filters import FilterParameters, NotchParameters
 from straightcomp_ros.control.law import Law
-from straightcomp_ros.control.laws import ControlParameters, ObserverDesign, dither_of, make_law, states_of
+from straightcomp_ros.control.laws import (
+    ControlParameters,
+    ObserverDesign,
+    can_hold,
+    described_state,
+    dither_of,
+    make_law,
+    needs_dither,
+    prepare_all,
+    states_of,
+)
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant, spectral_radius
 from straightcomp_ros.control.observer import observer_gains
 from straightcomp_ros.control.smc_observer import Lags, Stiffness, _stiffness, fit_at_start, fitted, lagged, step
@@ -326,6 +337,70 @@ def test_only_a_stage_whose_bristles_hide_within_the_count_gets_a_dither_which_r
     begun = np.flatnonzero(steps)[0]
     assert steps[begun : begun + 7].max() < 0.5 * steps[begun + 60 : begun + 99].max()
     assert np.ptp(errors[2000:]) < 0.2e-6
+
+
+PULL = STAGE.actuator.position_stiffness * 1e-7
+STEP_FORCE = STAGE.actuator.current_stiffness * 2.0 / 4096
+DITHERED = 3.0 * (2.0 * math.pi * 500.0) ** 2
+"""N at rest by a count and by a converter's step; N/m of the mass at the dither's frequency, a quarter of the rate."""
+
+
+@pytest.mark.parametrize(
+    ("names", "border", "facts"),
+    [
+        # Bristles that bend by two counts before they slide, or by half of what the usual dither moves the mass.
+        ("bristle_stiffness", 0.7 / 2e-7, {"friction__static": 0.7}),
+        ("bristle_stiffness", 0.7 / (0.85 * 0.43 / DITHERED), {"friction__static": 0.7, "encoder__y_resolution": 1e-9}),
+        # That are a tenth of the mass's own stiffness.
+        ("bristle_stiffness", 0.1 * DITHERED, {"encoder__y_resolution": 1e-6}),
+        # Friction that is twice what is lost in the quanta.
+        ("coulomb static", 2.0 * (PULL + STEP_FORCE), {"friction__bristle_stiffness": 1e8}),
+    ],
+)
+def test_dither_begins_where_bristles_hide_are_stiff_and_count(names, border, facts):
+    for factor, needed in ((0.99, False), (1.01, True)):
+        given = {f"friction__{name}": factor * border for name in names.split()}
+        assert needs_dither(stage(**facts, **given)) is needed
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0, 2.5])
+def test_dither_is_slower_where_commands_are_late(late):
+    stiff = stage(**STIFF, drive__delay=late)
+    dead_time = (late + 0.5) * T + 1.0 / (2.0 * math.pi * 500.0)
+    angle, _, velocity = dither_of(ObserverDesign(), stiff)
+    assert angle == pytest.approx(2.0 * math.pi * min(0.25, 0.54 / dead_time * T))
+    assert velocity == pytest.approx(1.7 * 0.43 / (3.0 * angle / T))
+
+
+def test_friction_holds_from_a_count_beside_the_balance_with_half_a_step_of_the_converter_too_much_on():
+    for factor, holds in ((0.99, False), (1.01, True)):
+        coulomb = factor * (PULL + 0.5 * STEP_FORCE)
+        described = stage(friction__coulomb=coulomb, friction__static=coulomb)
+        assert can_hold(described) is holds
+        gains = make_law(ControlParameters(), described).gains
+        assert (gains.holding <= 1.0) is holds
+        assert gains.counting * coulomb == pytest.approx(0.5 * (PULL + STEP_FORCE))
+    for factor, state in ((0.99, "free"), (1.01, "quiet")):
+        coulomb = factor * 0.5 * (PULL + STEP_FORCE)
+        name, control = described_state(ControlParameters(), stage(friction__coulomb=coulomb, friction__static=coulomb))
+        assert name == state and (control == ControlParameters()) is (state == "quiet")
+
+
+def test_what_a_law_forgets_it_forgets_by_its_time_constants(monkeypatch):
+    gains = law(memory=3.0, rest_wait=0.2).gains
+    for weight, seconds in (
+        (1.0 - gains.kept, 3.0),
+        (gains.smooth, 1.0 / (2.0 * math.pi * 60.0)),
+        (gains.mean, 0.3),
+        (gains.weight, 0.25 * 0.2),
+    ):
+        assert (1.0 - weight) ** (seconds / T) == pytest.approx(math.exp(-1.0))
+    # The magnets' stiffness pulls the mass by 1 m/s² there.
+    assert STAGE.actuator.position_stiffness * gains.travel / STAGE.platform.mass == pytest.approx(1.0)
+    prepared = []
+    monkeypatch.setattr(Law, "prepare", lambda one: prepared.append(one.function))
+    prepare_all()
+    assert prepared == [sliding_mode.step, sliding_mode.step, step]
 
 
 @pytest.mark.parametrize("stiffness", [1e8, 1e9])

@@ -64,7 +64,8 @@ def test_positions_at_many_times_are_those_of_each_to_the_last_bit():
         times = np.random.default_rng(0).integers(-(10**9), trajectory.end_ns + 10**9, 5000)
         times = np.concatenate([times, trajectory.times, trajectory.times - 1])
         np.testing.assert_array_equal(trajectory.at(times), [trajectory.position(time) for time in times.tolist()])
-    assert Trajectory([Waypoint(0, 0.3, 0.0)]).at(np.array([-1, 0, 5])).tolist() == [0.3, 0.3, 0.3]
+    resting = Trajectory([Waypoint(0, 0.3, 0.0)])
+    assert resting.at(np.array([-1, 0, 5])).tolist() == [0.3, 0.3, 0.3] and resting.largest_acceleration == 0.0
 
 
 def test_a_move_too_short_to_cruise_has_one_corner_and_a_longer_one_two():
