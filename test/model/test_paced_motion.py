@@ -77,6 +77,31 @@ def test_whatever_is_asked_the_stage_keeps_its_limits_stands_in_time_and_arrives
             assert abs(v[at + allowed]) < 1e-6
 
 
+@pytest.mark.parametrize("acceleration", [0.2, 2.0])
+def test_a_stage_without_a_limit_of_the_jerk_stands_some_10_ms_after_its_speed_over_its_acceleration(acceleration):
+    parameters = MotionParameters(stroke=0.6, settle=0.0, acceleration=acceleration)
+    motion = begun(parameters)
+    at = round((0.3 / acceleration + 0.1) / (T_NS * 1e-9))
+    v = np.diff(positions(motion, {at: HOLD}, at + 4000)) / (T_NS * 1e-9)
+    assert 0.01 < (np.flatnonzero(v)[-1] - at) * T_NS * 1e-9 - 0.3 / acceleration < 0.02
+
+
+@pytest.mark.parametrize("override", [0.0, 0.3, 0.7])
+def test_the_pace_goes_to_what_is_asked_for_and_not_past_it_however_rarely_the_stage_is_looked_at(override):
+    often, rarely = (begun(MotionParameters(stroke=1.7, settle=0.0, acceleration=2.0, jerk=200.0)) for _ in range(2))
+    paces, found = {2000: Pace(override), 4000: Pace(), 6001: Pace(override)}, []
+    for k in range(8000):
+        found.append((often.position(k * T_NS), often._u))
+        if k % 7 == 0 or k in paces:
+            assert (rarely.position(k * T_NS), rarely._u) == found[-1]
+        for motion in (often, rarely):
+            if k in paces:
+                motion.ask(paces[k])
+    u = np.array(found)[:, 1]
+    down, up, again = (np.diff(u[first : first + 1999]) for first in paces)
+    assert (down <= 0.0).all() and (up >= 0.0).all() and (again <= 0.0).all() and u[3999] == u[-1] == override
+
+
 @pytest.mark.parametrize("count", [1e-7, 5e-6, 1e-3])
 def test_a_motion_may_begin_where_the_encoder_reads_the_stage_to_be_and_nowhere_else(count):
     parameters, x = MotionParameters(), 0.30049
