@@ -28,7 +28,7 @@ from straightcomp_ros.control.margins import (
     spectral_radius,
     with_modes_off,
 )
-from straightcomp_ros.model.modes import ModeParameters, off
+from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.stage.description import StageParameters
 
 STAGE = StageParameters()
@@ -144,6 +144,15 @@ def test_gains_that_excite_a_described_mode_are_refused_and_a_notch_admits_them(
         assert spectral_radius(closed_loop(sampled_plant(machine), linearised(law))) < 1.0
 
 
+def test_a_mode_that_a_notch_no_longer_meets_at_the_end_of_its_uncertainty_is_a_reason_of_its_own():
+    notched = ControlParameters(filters=FilterParameters(first=NotchParameters(350.0, 0.2, 0.02)))
+    refused = []
+    for error in (0.01, 0.25):
+        mode = ModeParameters(350.0, 0.01, 1.0 / 3.0, 1.0 / 3.0, frequency_error=error)
+        refused.append(missing_margin(notched, STAGE.with_modes(mode)))
+    assert refused[0] is None and "unstable with the platform's modes at" in refused[1]
+
+
 def test_modes_are_off_to_all_sides_of_their_uncertainty():
     mode = ModeParameters(200.0, 0.02, frequency_error=0.1, damping_factor=2.0, participation_error=0.5)
     machines = with_modes_off(STAGE.with_modes(mode))
@@ -151,9 +160,3 @@ def test_modes_are_off_to_all_sides_of_their_uncertainty():
     assert {one.platform.modes.first.damping for one in machines.values()} == {0.01}
     assert {one.platform.modes.first.residue for one in machines.values()} == {1.5}
     assert not with_modes_off(STAGE)
-
-
-def test_a_mode_that_may_be_damped_more_than_swings_swings_still():
-    mode = ModeParameters(200.0, 0.6, damping_factor=2.0)
-    for share in (1.0, 0.9):
-        assert np.isfinite(off(mode, 0.0, share, 0.0).constants()).all()

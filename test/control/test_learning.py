@@ -372,7 +372,7 @@ def test_fast_and_slow_stages_are_learned_from(motion, rate, fade_speed):
     learner, trajectory = Learning(learning, "smc", rate), Trajectory(forward_and_back(motion))
     for at_ns in range(0, trajectory.end_ns, 10**9 // rate):
         learner.step(at_ns, trajectory.position(at_ns), 0.0, (1e-7, 0.0, 0.0))
-    assert {forward: table.updates for forward, table in learner.tables.items()} == {True: 1, False: 1}
+    assert learner.counters() == {"learned_forward": 1, "learned_backward": 1}
 
 
 def test_an_encoder_that_toggles_at_rest_corrects_no_reference_however_slow_the_stage_may_be():

@@ -237,6 +237,12 @@ def test_a_corner_that_no_machine_can_have_hides_no_other_one():
         with_facts_off(uncertain)
 
 
+def test_a_law_is_unstable_as_described_or_at_a_corner_or_nowhere():
+    switching = ControlParameters(law="smc", smc=SlidingDesign(boundary_layer=0.0))
+    assert unstable_where(ControlParameters(law="linear"), on(rate=200)) == AS_DESCRIBED
+    assert unstable_where(ControlParameters(), USUAL) == unstable_where(switching, on(rate=200)) == ""
+
+
 def test_a_law_that_commands_nothing_is_nowhere_unstable_and_lacks_no_margin():
     control = ControlParameters(law=OPEN_LOOP)
     assert unstable_where(control, USUAL) == "" and missing_margin(control, USUAL) is None

@@ -361,7 +361,7 @@ def test_in_lockstep_a_sample_waits_for_its_reference_and_one_that_is_repeated_c
     pairing = Pairing(2 * T, wait=True)
     for k in range(4):
         pairing.add_sample(at(k), (k,))
-    assert not list(pairing.take())
+    assert not list(pairing.take()) and pairing.waits
     for position in (1.0, 2.0):
         pairing.add_reference(at(0), (position, 0.0, 0.0))
     assert [(stamp, found[0]) for stamp, _, found, _ in pairing.take()] == [(at(k), 1.0) for k in range(3)]

@@ -26,6 +26,7 @@ from straightcomp_ros.model.modes import (
     ModesParameters,
     at_coil,
     at_encoder,
+    off,
     push,
     yielding,
 )
@@ -177,3 +178,16 @@ def test_a_force_bends_a_mode_by_its_participation():
     pushed = (disturbing_force(k, state) - state[5]) / MASS
     assert state[18] == pytest.approx(0.5 * pushed / (2.0 * math.pi * 200.0) ** 2, rel=1e-3, abs=1e-12)
     assert at_encoder(k, state, 0) == pytest.approx(state[0] - 2.0 * state[18])
+
+
+def test_a_mode_is_off_by_shares_of_its_uncertainty():
+    mode = ModeParameters(200.0, 0.02, 0.5, -2.0, frequency_error=0.1, damping_factor=2.0, participation_error=0.5)
+    one = off(mode, 0.5, -1.0, 0.4)
+    assert (one.frequency, one.damping, one.residue, one.encoder) == pytest.approx((210.0, 0.01, -1.2, -2.0))
+    assert off(mode, -1.0, 1.0, -1.0).damping == pytest.approx(0.04)
+
+
+def test_a_mode_that_may_be_damped_more_than_swings_swings_still():
+    mode = ModeParameters(200.0, 0.6, damping_factor=2.0)
+    for share in (1.0, 0.9):
+        assert np.isfinite(off(mode, 0.0, share, 0.0).constants()).all()

@@ -195,6 +195,13 @@ def test_a_reading_is_the_nearest_count_and_a_current_the_nearest_step_within_th
     assert -DRIVE.current_range <= converted <= highest
 
 
+def test_rounding_to_counts_errs_by_what_is_said_and_the_highest_code_gives_the_largest_current():
+    values = np.linspace(0.0, 1e-5, 10_001)
+    errors = np.array([ENCODER.y_reading(value) for value in values.tolist()]) - values
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(ENCODER.y_rounding, rel=1e-2)
+    assert DRIVE.converted(5.0) == DRIVE.largest_current < DRIVE.current_range == -DRIVE.converted(-5.0)
+
+
 def test_a_flexure_pulls_the_platform_back_against_the_magnets_and_damps_it():
     platform = PlatformParameters(stiffness=8e4, damping=60.0)
     flexed = PlantParameters(platform=platform, friction=LuGreParameters(coulomb=0.0, static=0.0, viscous=0.0))
