@@ -53,6 +53,8 @@ def test_a_draw_of_other_phases_begins_before_its_period_and_goes_over_into_it_w
     for draw, one in enumerate(used):
         settled = currents[draw * each + lead // 2 : draw * each + lead]
         np.testing.assert_allclose(settled, one[-settled.size :], atol=1e-12)
+    # Halfway between nothing and the first draw.
+    assert currents[lead // 4] == pytest.approx(0.5 * used[0][lead // 4 - lead], abs=1e-12)
     assert np.abs(used[0] - used[1]).max() > 0.1
     assert np.abs(np.diff(currents)).max() < 1.5 * np.abs(np.diff(used, axis=1)).max()
 
