@@ -188,10 +188,11 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
     quantum = stage.quantum
     coulomb = max(friction.coulomb, _SMALLEST_SIZE * quantum)
     turn, amplitude, knee = dither_of(design, stage)
-    band = design.rest_band * stage.encoder.y_resolution
-    if band > 0.0:
+    # None where nothing is to be held; the mains push at rest too, and a command that is held would not answer them.
+    band = -1.0
+    if design.rest_band > 0.0 and not any(filters.hum_1):
         # A platform that only dither moves is at rest.
-        band = max(band, _STAYING * knee / _dither_rate(stage))
+        band = max(design.rest_band * stage.encoder.y_resolution, _STAYING * knee / _dither_rate(stage))
     most = _MOST_DITHER * smc_observer.UNDER_DITHER if amplitude > 0.0 else design.largest_size
     # Without friction it damps far beyond the loop's bandwidth, which makes nearly any mode unstable.
     modes = stage.platform.modes.present
@@ -216,8 +217,7 @@ def _smc_observer(design: ObserverDesign, stage: StageParameters, filters: Filte
         holding=_holding(stage) / coulomb,
         speed=design.rest_speed,
         still=_STILL * stage.encoder.y_resolution,
-        # The mains push at rest too: a command that is held would not answer them.
-        band=-1.0 if any(filters.hum_1) else band,
+        band=band,
         wait=design.rest_wait,
         # The mean is over a quarter of the wait: it must forget the approach.
         weight=1.0 - math.exp(-4.0 * period / design.rest_wait),

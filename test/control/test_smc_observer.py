@@ -109,6 +109,15 @@ def test_the_held_command_is_the_mean_of_the_last_ones():
     assert commands[-1] == pytest.approx(moving.mean(), abs=0.5 * moving.std()) and moving.std() > 0.0
 
 
+@pytest.mark.parametrize(("rest_band", "holds"), [(2.0, True), (0.0, False)])
+def test_a_band_of_zero_never_holds_not_even_where_the_reading_is_the_reference(rest_band, holds):
+    one = law(rest_band=rest_band)
+    state = one.start(0.0)
+    for _ in range(300):
+        state, _ = one.function(one.gains, state, 0.0, 0.0, 0.0, 0.0, math.nan)
+    assert (state.rest.time > one.gains.wait) is holds
+
+
 @pytest.mark.parametrize("reading, r_dot", [(0.3e-6, 0.0), (-0.3e-6, 0.0), (0.0, 2e-7)])
 def test_a_reading_outside_the_band_and_a_moving_reference_end_the_hold(reading, r_dot):
     servo = law()
