@@ -218,6 +218,7 @@ def test_a_file_gives_back_what_was_written_and_nothing_leaves_no_file(file, tmp
         (lambda text: text.replace("\n-0.00175,", "\nnan,"), "line 6: x_m 'nan'; allowed: a finite number"),
         (lambda text: text.replace("\n-0.00175,", "\n-0.00175,1"), "line 6: forward_correction_m '1"),
         (lambda text: text.replace("\n-0.00175,", "\n-0.00175,,"), "line 6: 10 cells; allowed: 9"),
+        (lambda text: re.sub("\n-0.00175,[^,]*", "\n-0.00175,", text), "line 6: forward_correction_m ''"),
     ],
 )
 def test_a_damaged_file_is_refused_with_the_place_and_what_is_allowed(file, change, message):
