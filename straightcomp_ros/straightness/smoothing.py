@@ -53,8 +53,9 @@ _MEDIAN_OF_SQUARES = 0.455
 """Of a standard normal variable; not moved by a step at a joint, which no knots follow."""
 _BENDS = 2.0
 """Largest curvature of a map relative to that of the smooth curve: more is noise, and asks for an acceleration."""
-_SMOOTHEST = 1e12
-"""Largest λ in units of the inverse of the stiffest mode's penalty; beyond it rounding would reach the softest."""
+_SMOOTHEST, _MOST = 1e12, 1e15
+"""Largest λ in units of the inverse of the stiffest mode's penalty; beyond it rounding would reach the softest. And the
+largest with a factor; beyond it rounding would move the whole spline."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +213,7 @@ def smoothed(survey: Survey, x: Array, values: Array, mean: Array, how: str) -> 
         sparse = csr_array(third)
         for choice in used:
             amount = factor * np.exp(np.interp(middles, knots, np.log(choices[np.minimum(local, choice)])))
+            amount = np.minimum(amount, _MOST / stiffness[-1])
             penalty = sparse.T @ sparse.multiply((lengths * amount)[:, None])
             for times in (1.0, 2.0):
                 matrix = times * information + penalty

@@ -5,6 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.linalg import eigvalsh
+from scipy.stats import norm
 from tiers import nightly
 
 from straightcomp_ros.model.motion import MotionParameters
@@ -12,7 +15,7 @@ from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import NORMAL_95, measured, point_noise
-from straightcomp_ros.straightness.survey import Survey, read_survey
+from straightcomp_ros.straightness.survey import Run, Survey, read_survey
 from straightcomp_ros.straightness.survey_runs import on_common_grid
 from straightcomp_ros.tuning.identification.estimate import excitation
 from trials.noise import FINE, GUIDE, JOINT, KINK, WAYS, Kind, errors, guide, kinds, mapped, surveyed
@@ -153,6 +156,90 @@ def test_points_that_few_runs_have_weigh_less_and_are_less_certain():
     # Where one run measured, its own noise and drift are what the map has to go by.
     assert straightness.noise.point == pytest.approx(mapped(survey).noise.point, rel=0.05)
     assert np.ptp((straightness.deviations(x) - guide(x))[LACKING]) < 0.3e-6
+
+
+def alone(deviations, x, ways):
+    return Survey(tuple(Run("1", way, x, one) for way, one in zip(ways, deviations, strict=True)))
+
+
+@pytest.mark.parametrize("counts", [(3, 3), (4, 2), (2, 1), (1, 5)])
+def test_the_noise_of_a_point_is_what_least_squares_leave_of_a_value_at_each_point_and_a_line_of_each_run(counts):
+    x, random = np.sort(np.random.default_rng(1).uniform(0.0, 0.7, 9)), np.random.default_rng(3)
+    values, variances = [], []
+    for count in counts:
+        runs = random.normal(0.0, 1e-6, (count, x.size))
+        lines = np.kron(np.eye(count), np.column_stack([np.ones_like(x), x]))
+        model = np.hstack([np.tile(np.eye(x.size), (count, 1)), lines])
+        left = runs.ravel() - model @ np.linalg.lstsq(model, runs.ravel())[0]
+        freedom = runs.size - np.linalg.matrix_rank(model)
+        values += list(runs)
+        variances.append(left @ left / freedom if freedom else None)
+    known = [other if one is None else one for one, other in zip(variances, variances[::-1], strict=True)]
+    expected = np.sqrt(sum(one / count for one, count in zip(known, counts, strict=True))) / 2.0
+    survey = alone(values, x, np.repeat(WAYS, counts))
+    assert point_noise(survey, x, np.array(values), measured(survey, x)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_point_is_measured_where_a_point_of_the_run_is_nearer_than_half_a_step():
+    random, x = np.random.default_rng(5), np.linspace(0.1, 1.0, 91)
+    runs = [np.unique(random.uniform(low, high, 91)) for low, high in ((0.0, 1.1), (0.2, 0.9), (0.12, 0.13))]
+    found = measured(Survey(tuple(Run("1", "forward", run, 0.0 * run) for run in runs)), x)
+    expected = [np.abs(run - x[:, None]).min(axis=1) <= 0.5 * (x[1] - x[0]) for run in runs]
+    np.testing.assert_array_equal(found, expected)
+    assert found[:2].any(axis=1).all() and not found.all(axis=1).any()
+
+
+@pytest.mark.parametrize("how", ["1", "1000", "1e6"])
+def test_of_a_parabola_with_little_noise_no_factor_makes_another_curve(how):
+    x = np.linspace(0.3, 1.1, 81)
+    values = 2e-5 * x**2 - 1e-5 * x + np.random.default_rng(2).normal(0.0, 1e-7, (6, x.size))
+    found = mapped(alone(values, x, WAYS * 3), how).deviations(x)
+    assert found == pytest.approx(np.polyval(np.polyfit(x, values.mean(axis=0), 2), x), abs=2e-8)
+
+
+@pytest.mark.parametrize(("kink", "how", "factor"), [(0.0, "1", 1.0), (1e-4, "1", 1.0), (1e-4, "3", 3.0)])
+def test_the_map_is_the_mean_of_penalised_fits_weighed_by_their_estimated_errors(kink, how, factor):
+    x, random = np.linspace(0.0, 1.0, 60), np.random.default_rng(8)
+    values = 2e-6 * np.sin(5.0 * x) + kink * np.abs(x - 0.6) + random.normal(0.0, 2e-7, (6, x.size))
+    straightness = mapped(alone(values, x, WAYS * 3), how)
+    mean, noise, knots = values.mean(axis=0), straightness.noise.point, np.delete(x, [1, -2])
+    inner, middles, pieces = np.isin(x, knots), (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
+    # The cubic splines by their values at the knots and their curvatures at the ends.
+    natural = CubicSpline(knots, np.eye(knots.size), bc_type="natural")
+    bent = CubicSpline(knots, np.zeros((knots.size, 2)), bc_type=((2, [1.0, 0.0]), (2, [0.0, 1.0])))
+    at_points, third = (np.hstack([natural(at, k), bent(at, k)]) for at, k in ((x, 0), (middles, 3)))
+
+    def hat(amounts, runs=1.0):
+        penalty = third.T @ ((pieces * amounts)[:, None] * third)
+        return at_points @ np.linalg.solve(at_points.T @ at_points + penalty / runs, at_points.T)
+
+    stiffest = eigvalsh(third.T @ (pieces[:, None] * third), at_points.T @ at_points)[-1]
+    choices = np.geomspace(1.0, 1e12, 25) / stiffest
+    hats = np.array([hat(np.full(pieces.size, amount)) for amount in choices])
+    fits, freedom = hats @ mean, np.trace(hats, axis1=1, axis2=2)
+    shares = np.exp(-(np.sum((mean - fits) ** 2, axis=1) / noise**2 + 2.0 * freedom) / 4.0)
+    shares = np.where(shares > 0.02 * shares.sum(), shares, 0.0) / shares.sum()
+    used = np.flatnonzero(shares)
+    # Lepski's rule, at the knots.
+    detected, local, holds = norm.isf(0.025 / freedom[0]), np.zeros(knots.size, int), np.ones(knots.size, bool)
+    for smoother in range(1, used[-1] + 1):
+        spread = noise * np.linalg.norm(hats[smoother] - hats[:smoother], axis=2)
+        holds &= np.all(np.abs(fits[smoother] - fits[:smoother]) <= detected * spread, axis=0)[inner]
+        local[holds] = smoother
+    assert local.min() < used[-1]
+    amounts = [factor * np.exp(np.interp(middles, knots, np.log(choices[np.minimum(local, one)]))) for one in used]
+    shares, once, twice = (
+        shares[used] / shares[used].sum(),
+        *(np.array([hat(one, runs) for one in amounts]) for runs in (1.0, 2.0)),
+    )
+    expected = shares @ (once @ mean)
+    np.testing.assert_allclose(straightness.deviations(x), expected, atol=1e-11)
+    between = shares @ (once @ mean - expected) ** 2
+    variances = [
+        shares @ np.diagonal(hats, axis1=1, axis2=2) * noise**2 / runs for hats, runs in ((once, 1.0), (twice, 2.0))
+    ]
+    np.testing.assert_allclose(straightness.noise.band(knots) ** 2, (variances[0] + between)[inner], rtol=1e-4)
+    assert straightness.noise.twice**2 == pytest.approx(np.mean((variances[1] + between / 2.0)[inner]), rel=1e-4)
 
 
 def test_more_runs_leave_less():
