@@ -193,7 +193,7 @@ def orient(where: str, name: str, direction: Direction | None, points: Sequence[
     """
     lines, x, deviation = zip(*points, strict=True)
     steps = np.diff(x)
-    rising = x[-1] > x[0] if x[-1] != x[0] else bool(steps[0] > 0.0)
+    rising = (x[-1] - x[0] or steps[0]) > 0.0
     wrong = np.flatnonzero(steps <= 0.0 if rising else steps >= 0.0)
     if wrong.size:
         at = int(wrong[0]) + 1

@@ -76,6 +76,16 @@ def test_the_rates_between_two_references_are_those_of_what_is_between_them():
     assert acceleration == pytest.approx((after - 2.0 * now + before) / h**2, rel=1e-3)
 
 
+@pytest.mark.parametrize("duration", [0.1, 0.5, 3.0])
+def test_the_weight_falls_from_one_to_zero_as_the_integral_of_its_rate_which_is_that_of_its_acceleration(duration):
+    t = np.linspace(0.0, duration, 2001)
+    w, rate, acceleration = np.transpose([weight(at, duration) for at in t.tolist()])
+    np.testing.assert_allclose(np.gradient(w, t)[1:-1], rate[1:-1], atol=1e-5 / duration)
+    np.testing.assert_allclose(np.gradient(rate, t)[1:-1], acceleration[1:-1], atol=1e-3 / duration**2)
+    for at, value in ((-0.5 * duration, 1.0), (0.0, 1.0), (duration, 0.0), (1.5 * duration, 0.0)):
+        assert weight(at, duration) == pytest.approx((value, 0.0, 0.0), abs=1e-12)
+
+
 def test_a_repeated_stamp_gives_the_same_answer_and_changes_nothing():
     once, twice = Feedforward(GUIDE), Feedforward(GUIDE)
     for k, x in enumerate(_profile()[0][5000:5200].tolist()):
@@ -186,6 +196,10 @@ def test_a_change_of_map_reaches_the_bounds_of_the_rates_that_belong_to_it_and_n
     feedforward.change(other)
     found = [feedforward.step(step * PERIOD_NS, 0.2)[0] for step in range(1, FADE + 1)]
     assert found == pytest.approx([GUIDE.reference(0.2)[0] + DIFFERENCE] * FADE, abs=1e-15)
+    # A stamp that goes back before the change ends it.
+    feedforward.change(GUIDE.reference)
+    assert feedforward.step((FADE + 1) * PERIOD_NS, 0.2)[0] == pytest.approx(found[-1]) and feedforward.changing
+    assert feedforward.step((FADE - 1) * PERIOD_NS, 0.2)[0] == GUIDE.reference(0.2)[0] and not feedforward.changing
 
 
 def test_after_a_start_it_is_least_squares_over_all_samples_from_the_third_on():

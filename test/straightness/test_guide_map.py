@@ -64,6 +64,27 @@ def test_scalar_and_array_evaluation_agree_to_the_last_bit_at_the_joints_too():
         assert straightness.reference(far) == (straightness.reference(near)[0], 0.0, 0.0)
 
 
+def test_the_steepest_place_of_a_map_may_lie_between_its_points():
+    straightness = _map(1e-7 * (-1.0) ** np.arange(X.size))
+    slopes = straightness.evaluate(np.linspace(0.0, 1.76, 17_601))[1]
+    assert straightness.steepest == pytest.approx(np.abs(slopes).max(), rel=1e-3)
+
+
+def test_a_map_is_centred_by_the_turning_points_of_the_survey_alone():
+    # The parabola turns beyond the survey's end.
+    straightness = _map(1e-5 * (X - 1.9) ** 2)
+    assert straightness.offset == pytest.approx(0.5e-5 * (1.9**2 + 0.14**2))
+
+
+def test_references_of_the_encoder_that_differ_are_a_mismatch_and_an_unknown_one_is_none():
+    survey = one_run(X, 1e-5 * np.sin(X))
+    for mark, described, wrong in (("a", "b", True), ("a", "a", False), ("a", "", False), ("", "a", False)):
+        marked = replace(survey, facts={"encoder reference": mark} if mark else {})
+        straightness = StraightnessMap(marked, MapParameters(reference=described))
+        assert bool(straightness.mismatch()) == wrong
+        assert straightness.mismatch() in str(straightness) and not str(straightness).endswith("; ")
+
+
 @settings(max_examples=50, deadline=None)
 @given(straightness=maps, x=st.floats(-0.1, 0.6))
 def test_the_derivatives_are_those_of_the_reference(straightness, x):
@@ -123,6 +144,8 @@ def test_a_relative_name_is_looked_up_in_the_working_directory_first(tmp_path, m
     for name, words in (("config/no_such_survey.csv", "working directory"), ("/none.csv", "there is no such file")):
         with pytest.raises(SurveyError, match=words):
             find_survey(name)
+    with pytest.raises(SurveyError, match="is no file"):
+        find_survey("config")
 
 
 @given(
@@ -133,6 +156,11 @@ def test_a_relative_name_is_looked_up_in_the_working_directory_first(tmp_path, m
 )
 def test_no_value_on_the_way_lies_outside_of_start_turning_and_held(value, slope, curvature, length):
     coefficients, held, turning = runout(value, slope, curvature, length)
+    curve = Polynomial(coefficients)
+    ends = [[curve.deriv(order)(at) if order else curve(at) for order in range(3)] for at in (0.0, length)]
+    size = abs(value) + abs(slope) * length + abs(curvature) * length**2
+    for found, expected in zip(ends, ((value, slope, curvature), (held, 0.0, 0.0)), strict=True):
+        assert found == pytest.approx(expected, abs=1e-9 * size / length**2)
     path = Polynomial(coefficients)(np.linspace(0.0, length, 201))
     # Numbers below 1e-308 have fewer digits: a floor of no size at all.
     grain = 1e-12 * (abs(value) + abs(slope) * length + abs(curvature) * length**2) + 1e-30

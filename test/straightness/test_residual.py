@@ -16,6 +16,7 @@ from straightcomp_ros.straightness.residual import (
     minimum_zone,
     minimum_zones,
     peak_to_peak,
+    rms,
 )
 from straightcomp_ros.straightness.survey import read_survey
 
@@ -34,6 +35,15 @@ def test_a_bow_is_as_high_about_either_line_and_the_end_point_line_goes_through_
     assert peak_to_peak(least_squares_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
     assert peak_to_peak(end_point_residual(X, 5e-6 * X**2)) == pytest.approx(5e-6)
     assert end_point_residual(X, np.exp(X))[[0, -1]] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_weighted_least_squares_are_those_of_numpy_and_points_without_weight_count_for_nothing():
+    random = np.random.default_rng(4)
+    x, values, weights = random.uniform(0.5, 2.0, 30), random.normal(size=30), random.uniform(0.0, 3.0, 30)
+    weights[:3] = 0.0
+    expected = values - np.polyval(np.polyfit(x, values, 1, w=np.sqrt(weights)), x)
+    np.testing.assert_allclose(least_squares_residual(x, values, weights), expected, atol=1e-12)
+    assert rms(values) == pytest.approx(np.linalg.norm(values) / np.sqrt(30.0)) and rms(values[:0]) == 0.0
 
 
 def test_weights_count_the_length_and_not_the_time():
