@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
+from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, point_weights, repeatability
 from straightcomp_ros.straightness.survey_table import SurveyError
 
 POSITIONS_MM = [10 * k for k in range(30)]
@@ -535,6 +535,20 @@ def test_runs_on_the_same_x_are_taken_as_measured_and_another_brought_onto_it_wh
 def test_of_two_halves_the_one_that_lost_points_gives_way_and_of_unlike_ones_the_coarse_one(points, place):
     runs = [_run("forward", x=np.linspace(0.0, 1.0, count)) for count in points]
     np.testing.assert_array_equal(_grid(*runs)[0], runs[place].x)
+
+
+def test_a_run_is_written_as_the_stage_moved(tmp_path):
+    write_survey(tmp_path / "s.csv", Survey((_run("forward"), _run("backward"))))
+    x = [float(line.split(",")[2]) for line in (tmp_path / "s.csv").read_text().splitlines()[1:]]
+    np.testing.assert_allclose(x, np.concatenate([GRID, GRID[::-1]]) * 1e3)
+
+
+def test_weights_of_a_splines_values_are_weights_of_its_points_beyond_its_ends_too():
+    random = np.random.default_rng(6)
+    x, at = np.sort(random.uniform(0.0, 1.0, 20)), random.uniform(-0.05, 1.05, 50)
+    weights, values = random.normal(size=(3, 50)), random.normal(size=20)
+    found = point_weights(x, at, weights) @ values
+    np.testing.assert_allclose(found, weights @ cubic_spline(x, values)(at), rtol=1e-7)
 
 
 def test_the_grid_keeps_to_what_all_runs_cover():
