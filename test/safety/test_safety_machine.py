@@ -11,7 +11,7 @@ from surveys import GUIDE
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.parameters.node_parameters import CellNodeParameters, ControllerNodeParameters
-from straightcomp_ros.safety.faults import LABELLED, Fault
+from straightcomp_ros.safety.faults import LABELLED, LONGEST_REASON, Fault, explained, one_line
 from straightcomp_ros.safety.state_machine import SafetyMachine
 from straightcomp_ros.stage.description import StageParameters
 
@@ -93,6 +93,26 @@ def test_each_fault_has_a_number_of_its_own_above_zero_and_its_row_in_the_docume
     for fault in Fault:
         *_, within, reaction, reset = cells(line_of(documented, f"`{fault.label}` | {fault.code}"))
         assert (within, reaction, reset) == (f"{fault.value.within_ms:g}", fault.value.reaction, fault.value.reset)
+
+
+@pytest.mark.parametrize("fault", Fault)
+def test_a_fault_in_a_message_is_shown_with_what_it_means_and_how_it_ends_and_any_other_text_as_it_is(fault):
+    for text in (f"fault {fault.label}: a reason: its cause", fault.label, f" {fault.label} : 5"):
+        shown = explained(text)
+        assert (shown["text"], shown["means"], shown["causes"]) == (text, fault.value.means, fault.value.causes)
+        assert shown["remedy"].startswith(f"{fault.value.remedy}. Then: ")
+        # Each is understood alone. A recording that stopped does not switch off.
+        assert "others" not in shown["remedy"]
+        assert ("`driver/enable`" in shown["remedy"]) is (fault is not Fault.RECORDING_STOPPED)
+    for other in ("", "a reason", f"{fault.label}s: a reason", f"a fault {fault.label}"):
+        assert explained(other) == {"text": other, "means": "", "causes": "", "remedy": ""}
+
+
+def test_a_text_of_another_program_is_one_line_of_its_first_characters_and_steers_no_terminal():
+    assert one_line("höher: 5 µm") == "höher: 5 µm"
+    assert one_line("a\nb\x1b[2J\u2028c") == r"a\nb\x1b[2J\u2028c"
+    assert one_line("12345", 4) == "1234" and one_line("\n\n\n", 4) == r"\n\n"
+    assert len(one_line("x" * 10**6)) == LONGEST_REASON
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import random
 import pytest
 
 from straightcomp_ros.hardware.interface import Sample
-from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
+from straightcomp_ros.model.motion import MotionParameters, StageLimits, Trajectory, forward_and_back
 from straightcomp_ros.model.paced_motion import Pace, PacedMotion
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.declaration import from_mapping
@@ -366,3 +366,21 @@ def test_a_zero_that_has_moved_is_found_where_the_encoder_has_counted_on_and_bel
     if not event:
         # Where the first one is found again all is well.
         assert homed(found, 600, 0.2, 0.2 + shift) == ""
+
+
+@pytest.mark.parametrize("before", [0, 1, 3])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("share", "counted"), [(0.0, True), (0.98, True), (1.02, False)])
+def test_readings_that_noise_and_acceleration_explain_are_counted_on_and_no_others(before, sign, share, counted):
+    found, step, motion = ZeroWatch(STAGE), T * 1e-9, STAGE.motion
+    # Without a motion before, any speed is possible; with one, that of the last two readings changes.
+    speed = 0.4 if before else 0.0
+    changed = 2.0 * StageLimits.of(motion, 0.0, 0.0).acceleration * step**2 if before else motion.highest_speed * step
+    for k in range(before + 1):
+        found.look([Sample(k * T, speed * k * step, 0.0, 0.0)], True)
+    x = speed * (before + 1) * step + sign * share * (changed + 2.0 * STAGE.encoder.x_noise)
+    found.look([Sample((before + 1) * T, x, 0.0, 0.0)], False)
+    assert found.finding == ""
+    # Where the encoder has counted on, a reference that puts the zero elsewhere is wrong.
+    found.look([Sample((before + 2) * T, x + 5.0, 0.0, 0.0)], True)
+    assert bool(found.finding) is counted

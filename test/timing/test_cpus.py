@@ -163,6 +163,37 @@ def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
     assert cpu_guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
 
 
+def test_a_guard_moves_who_may_go_elsewhere_until_no_new_one_inherits_the_cpu_and_looks_at_normal_priorities_only(
+    tmp_path, monkeypatch
+):
+    may = {1: {0, 1}, 2: {1}, 3: {0}, 4: {0, 1}, 5: {0, 1}, 6: {0, 1, 2}, 7: {0, 1}, 8: {1, 2}, 9: {0, 1}}
+    policies = dict.fromkeys((1, 2, 3, 5, 8, 9), os.SCHED_OTHER) | {4: os.SCHED_BATCH}
+    policies |= {6: os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 7: 6}
+    asked = []
+
+    def there(thread):
+        # One process is that of a kernel's thread, and one begins when the first ones have been moved.
+        if thread == 9 and not asked:
+            raise ProcessLookupError
+        return thread
+
+    def move(thread, wanted):
+        asked.append(thread)
+        if thread in (4, 8):
+            raise PermissionError if thread == 4 else OSError
+        may[thread] = wanted
+
+    for thread in may:
+        (tmp_path / "77" / "task" / str(thread)).mkdir(parents=True)
+    monkeypatch.setattr(cpu_guard, "_PROCESSES", tmp_path)
+    monkeypatch.setattr(os, "sched_getscheduler", lambda thread: policies[there(thread)])
+    monkeypatch.setattr(os, "sched_getaffinity", lambda thread: may[thread])
+    monkeypatch.setattr(os, "sched_setaffinity", move)
+    assert cpu_guard._move(lambda affinity: affinity - {1}, without={5}) == (2, 1)
+    assert may == {1: {0}, 2: {1}, 3: {0}, 4: {0, 1}, 5: {0, 1}, 6: {0, 1, 2}, 7: {0, 1}, 8: {1, 2}, 9: {0}}
+    assert [asked.count(thread) for thread in may] == [1, 0, 0, 1, 0, 0, 0, asked.count(8), 1]
+
+
 def test_a_guard_changes_the_bits_of_its_own_cpus_in_a_mask_and_guards_give_back_theirs_in_any_order(
     tmp_path, monkeypatch
 ):

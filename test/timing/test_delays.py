@@ -29,6 +29,13 @@ def test_a_percentile_lies_within_six_percent_of_the_sorted_values(values, perce
     assert abs(found - exact) <= exact / 16 + 1
 
 
+@pytest.mark.parametrize("count", [20, 4096])
+def test_percentiles_of_durations_that_are_evenly_spread_are_evenly_spread_too(count):
+    percents = [0.0, 1.0, 30.0, 50.0, 77.7, 99.0, 100.0]
+    evenly = [min(percent / 100.0 * count, count - 1) * 1e-3 for percent in percents]
+    assert recorded(range(count)).percentiles_us(percents) == pytest.approx(evenly, rel=1e-12)
+
+
 @given(st.lists(st.integers(-5, 2**45), max_size=50), st.lists(st.integers(0, 2**30), max_size=50))
 def test_a_sum_of_histograms_is_the_histogram_of_all_and_survives_its_text(first, second):
     both = recorded(first) + Distribution.from_text(recorded(second).to_text())
