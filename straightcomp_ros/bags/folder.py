@@ -178,8 +178,8 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
 def found_beside(bag: Path, paths: Sequence[Path]) -> list[Path]:
     """What belongs to a bag next to its files ``paths`` with messages: metadata.yaml, unless it is of other files too,
     and the logs of SQLite, in which messages may be that are not yet in its file."""
-    metadata = paths[0].with_name("metadata.yaml")
-    own = [metadata] if bag.is_dir() or _listed(_information(metadata.parent)) == [bag.name] else []
+    folder = bag if bag.is_dir() else bag.parent
+    own = [folder / "metadata.yaml"] if folder == bag or _listed(_information(folder)) == [bag.name] else []
     return [one for one in (*own, *map(_log, paths)) if one.is_file()]
 
 

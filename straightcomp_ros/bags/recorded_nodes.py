@@ -128,7 +128,7 @@ def attach_parameters(bag: BagWriter, values: Mapping[str, Mapping[str, Any]]) -
     if len(feedforwards) != 1:
         count = "several feedforwards" if feedforwards else "no feedforward"
         return f"the map is not attached to the bag: {count} among the logger's 'nodes' answered"
-    given = under("stage.guide.", feedforwards[0])
+    given = under("stage.guide.", *feedforwards)
     try:
         path = find_survey(str(given.get("file", MapParameters().file)))
         data = path.read_bytes()
