@@ -9,14 +9,20 @@ from pathlib import Path
 import pytest
 import yaml
 from places import REPOSITORY
-from recording import described, record, sqlite_bag
+from recording import described, record, recorded, sqlite_bag
 
 from straightcomp_ros.bags import BagError
-from straightcomp_ros.bags.folder import SqliteInput, found_files, opened
+from straightcomp_ros.bags.folder import SqliteInput, found_beside, found_files, opened
 from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.bags.recorded_nodes import attach_parameters, note_changes, noted_changes, recorded_parameters
-from straightcomp_ros.bags.topics import Topic, TopicQos, definition, resolved
+from straightcomp_ros.bags.recorded_nodes import (
+    attach_parameters,
+    note_changes,
+    noted_changes,
+    recorded_parameters,
+    replayed_map,
+)
+from straightcomp_ros.bags.topics import Topic, TopicQos, definition, resolved, topics_of_stage
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import ENCODER, STREAMS
 
@@ -132,6 +138,36 @@ def test_several_recordings_in_a_folder_are_refused_by_their_names(tmp_path, nam
     assert [file.name for file in files] == names[:1]
 
 
+@pytest.mark.parametrize("cut", [0, 20])
+def test_files_under_other_names_whose_order_nothing_says_are_several_recordings(tmp_path, cut):
+    content = recorded(tmp_path / "run", 2).file.read_bytes()
+    folder = described(touched(tmp_path / "bag"), relative_file_paths=["run_0.mcap", "run_1.mcap"])
+    # Both begin at once, or the end of one does not say when.
+    (folder / "a.mcap").write_bytes(content)
+    (folder / "b.mcap").write_bytes(content[: len(content) - cut])
+    with pytest.raises(BagError, match=r"several recordings \(a\.mcap, b\.mcap\)"):
+        found_files(folder)
+
+
+def test_beside_the_files_of_a_bag_are_its_own_metadata_and_the_logs_of_sqlite_that_are_there(tmp_path):
+    names = ["run_0.db3", "run_1.db3"]
+    folder = touched(tmp_path / "bag", *names, "run_1.db3-wal", "other.db3-wal")
+    files, log = [folder / name for name in names], folder / "run_1.db3-wal"
+    assert found_beside(folder, files) == found_beside(files[1], files[1:]) == [log]
+    metadata = described(folder, relative_file_paths=names) / "metadata.yaml"
+    assert found_beside(folder, files) == [metadata, log] and found_beside(files[1], files[1:]) == [log]
+    described(folder, relative_file_paths=names[:1])
+    assert found_beside(files[0], files[:1]) == [metadata]
+
+
+@pytest.mark.parametrize(("suffix", "advised"), [("mcap", True), ("db3", False)])
+def test_what_is_left_of_a_bag_without_one_of_its_files_can_be_recovered_if_it_is_mcap(tmp_path, suffix, advised):
+    folder = touched(tmp_path / "bag", f"run_0.{suffix}", listed=[f"run_0.{suffix}", f"run_1.{suffix}"])
+    with pytest.raises(BagError, match=rf"lacks run_1\.{suffix}") as refused, opened(folder):
+        pass
+    assert ("straightcomp recover" in str(refused.value)) is advised
+
+
 def test_a_link_that_leads_nowhere_is_a_file_of_its_bag(tmp_path):
     folder = touched(tmp_path / "bag", "run_0.mcap")
     (folder / "run_1.mcap").symlink_to("gone")
@@ -207,6 +243,29 @@ def test_the_map_of_a_bag_is_that_of_its_feedforward_or_none(tmp_path, nodes, su
     assert bool(reason) == (survey is None)
 
 
+@pytest.mark.parametrize(
+    ("own", "words", "attached"),
+    [
+        ({"file": "nowhere.csv"}, "the map is not", False),
+        ({"file": SURVEYS[0], "smoothing": -1.0}, "band is not", True),
+    ],
+)
+def test_a_map_that_cannot_be_had_or_made_is_a_reason_and_ends_no_recording(tmp_path, own, words, attached):
+    with BagWriter(tmp_path / "bag") as bag:
+        reason = attach_parameters(bag, {"feedforward": {f"stage.guide.{name}": own[name] for name in own}})
+    assert words in reason
+    assert (read_attachments(tmp_path / "bag").keys() & {"map.csv", "map_band.csv"} == {"map.csv"}) is attached
+
+
+def test_a_run_is_computed_again_with_its_own_map_or_with_what_its_feedforward_names(tmp_path):
+    given = {"map.csv": b"1,2\n"}, {}
+    path = replayed_map("bag", *given, tmp_path)
+    assert path.parent == tmp_path and path.read_bytes() == b"1,2\n"
+    assert replayed_map("bag", {}, {"feedforward": {}}, tmp_path) is None
+    with pytest.raises(BagError, match="neither the run's map nor parameters of its feedforward"):
+        replayed_map("bag", {}, {"controller": {}}, tmp_path)
+
+
 @pytest.mark.parametrize("node", ["controller", "/a/controller"])
 def test_what_changes_on_a_node_is_noted_under_its_name_without_the_namespace(tmp_path, node):
     with BagWriter(tmp_path / "bag") as bag:
@@ -228,6 +287,7 @@ def test_a_qos_profile_is_read_as_rosbag2_writes_it_and_in_the_numbers_of_older_
     assert TopicQos.from_yaml(text) == TopicQos("best_effort", "transient_local", "keep_all", 0)
     older = "- {history: 2, depth: 7, reliability: 2, durability: 1}"
     assert TopicQos.from_yaml(older) == TopicQos("best_effort", "transient_local", "keep_all", 7)
+    assert TopicQos.from_yaml(f"{older}\n- {{depth: 9}}").depth == 7  # of several publishers the first one's
     assert TopicQos.from_yaml("- {history: 99}") == TopicQos.from_yaml("]") == TopicQos.from_yaml("") == TopicQos()
     for wrong in ({"depth": -1}, {"reliability": "sure"}, {"history": ""}):
         with pytest.raises(BagError, match="allowed"):
@@ -243,6 +303,26 @@ def test_a_relative_name_is_found_below_the_root_or_in_the_only_namespace():
     assert resolved("x", ["x"], "bag") == resolved("/x", ["x"], "bag") == "x"
     with pytest.raises(BagError, match="/a/x and /b/x"):
         resolved("x", topics, "bag")
+
+
+@pytest.mark.parametrize(
+    ("topics", "remap", "found"),
+    [
+        ("/encoder /command /other", {}, {"encoder": "/encoder", "command": "/command"}),
+        # Another stage's streams are not those of this one; without another encoder any namespace is.
+        ("/a/encoder /a/command /b/encoder /b/reference", {"encoder": "/a/encoder"}, {"command": "/a/command"}),
+        ("/a/encoder /a/command /b/reference", {}, {"command": "/a/command", "reference": "/b/reference"}),
+        # A filter's encoder is of no stage in particular.
+        ("/filter/encoder /b/encoder /b/command", {"encoder": "/filter/encoder"}, {"command": "/b/command"}),
+        ("/a/encoder /a/command", {"command": "/b/command"}, {}),
+        ("/a/command", {}, {"command": "/a/command"}),
+    ],
+)
+def test_streams_are_looked_for_where_the_stage_of_the_encoder_is(topics, remap, found):
+    names = topics.split()
+    encoder = {"encoder": next(one for one in names if one.endswith("encoder"))} if "encoder" in topics else {}
+    wanted = ["encoder", "command", "reference"]
+    assert topics_of_stage(wanted, names, "bag", remap or None) == encoder | remap | found
 
 
 @pytest.mark.parametrize("bad", [(1, None), (1, "text"), (None, b"x"), (-1, b"x"), ("later", b"x")])

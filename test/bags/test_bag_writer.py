@@ -1,12 +1,14 @@
 """A written bag, as other software finds it."""
 
 import errno
+import re
 import shutil
 import sys
 import tracemalloc
 import warnings
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import ANY
 
 import numpy as np
@@ -20,6 +22,7 @@ from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
 
 from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import writer as writer_module
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.folder import found_files
 from straightcomp_ros.bags.mcap_output import McapOutput
@@ -260,8 +263,13 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
     bag._output._file = SmallDisk(bag._output._file, bag.path.stat().st_size + 40_000)
     with pytest.raises(BagError, match="cannot be written: No space left on device; free space"):
         write(bag, rest)
-    with pytest.raises(BagError, match=r"the disk took no more, the last \d+ messages are lost"):
+    with pytest.raises(BagError, match="cannot be written: No space left on device; free space"):
+        bag.write_all(rest)
+    with pytest.raises(BagError, match=r"the disk took no more, the last (\d+) messages are lost") as lost:
         bag.close()
+    # Those of the chunk that did not fit any more, and what came together.
+    count = int(re.search(r"last (\d+)", str(lost.value))[1]) - len(rest)
+    assert 50_000 <= sum(31 + len(message.data) for message in rest[:count]) < 50_500
     with Reader(tmp_path / "bag") as reader:
         found = [data for _, _, data in reader.messages()]
     assert sorted(found) == sorted(message.data for message in kept)
@@ -269,7 +277,8 @@ def test_a_full_disk_costs_the_last_chunk_and_not_the_bag(tmp_path):
 
 
 def test_messages_written_together_make_the_file_that_single_ones_make(tmp_path):
-    some, stored = messages(400), []
+    # One is of a source that stamps before the epoch.
+    some, stored = [one._replace(publish_time=-5 * (one.log_time % 2)) for one in messages(400)], []
     for together in (False, True):
         folder = tmp_path / str(together) / "bag"
         with BagWriter(folder, chunk_size=20_000, max_duration=0.05) as bag:
@@ -387,6 +396,38 @@ def test_a_file_that_cannot_be_opened_leaves_a_finished_bag_of_those_before(tmp_
     found = information(tmp_path / "full")
     assert found["relative_file_paths"] == ["full_0.mcap", "full_1.mcap"]
     assert len(read_streams(tmp_path / "full", LAYOUTS)["encoder"]) == found["message_count"] // len(STREAMS)
+
+
+def test_a_file_of_another_program_in_the_place_of_the_next_one_stays(tmp_path):
+    with pytest.raises(BagError, match="File exists"), BagWriter(tmp_path / "bag") as bag:
+        bag.add(Topic("/encoder", ENCODER.layout.type_name))
+        bag.split()
+        assert bag.path.name == "bag_0.mcap"  # a file without messages is kept
+        bag.write("/encoder", b"", 1, 1)
+        (tmp_path / "bag" / "bag_1.mcap").write_bytes(b"theirs")
+        bag.split()
+    assert (tmp_path / "bag" / "bag_1.mcap").read_bytes() == b"theirs"
+    assert information(tmp_path / "bag")["message_count"] == 1
+
+
+def test_what_is_written_is_brought_to_the_disk_at_its_interval_and_each_name_once(tmp_path, monkeypatch):
+    now, synced, names = [1000.0], [], []
+    monkeypatch.setattr(writer_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(writer_module, "sync_names", names.append)
+    monkeypatch.setattr(McapOutput, "sync", lambda self: synced.append(now[0]))
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add(Topic("/encoder", ENCODER.layout.type_name))
+        bag.sync_older(0.0)
+        for _ in range(5):
+            bag.sync_older(0.25)
+            now[0] += 0.125
+        assert synced == [1000.0, 1000.25, 1000.5] and names == [tmp_path / "bag", tmp_path]
+        bag.write("/encoder", b"", 1, 1)
+        bag.split()
+        bag.sync_older(0.125)
+        assert names == [tmp_path / "bag", tmp_path] * 2
+    bag.sync_older(0.125)
+    assert len(synced) == 4
 
 
 def refuse(*_: object, **__: object) -> None:

@@ -196,7 +196,9 @@ def test_a_flipped_bit_that_only_the_checksum_of_the_data_section_covers_is_foun
         with pytest.raises(BagError, match="at byte 0: the checksum of the data section"):
             read()
     result = recover(path, tmp_path / "new")
-    assert not result.whole and "checksum" in result.gaps[0][3] and result.saved.total() == len(sample)
+    ((name, *place, words),) = result.gaps
+    assert (name, place) == (path.name, [0, 0]) and "checksum" in words
+    assert not result.whole and result.saved.total() == len(sample)
 
 
 def test_statistics_that_count_too_few_are_no_negative_loss(sample, tmp_path):

@@ -1,12 +1,17 @@
 """One number of every message of a topic, by name, whatever its type and whichever file it lies in."""
 
+import warnings
+
 import numpy as np
 import pytest
 from bag_of_rows import REPORT, STORE, bag_of, bag_of_rows, header, report
 
-from straightcomp_ros.bags import BagError, fields
+from straightcomp_ros.bags import BagError, fields, noting_warnings
 from straightcomp_ros.bags.fields import Field, FieldValues, read_field
+from straightcomp_ros.bags.reader import set_back
 from straightcomp_ros.bags.recorded_nodes import read_reports
+from straightcomp_ros.bags.topics import Topic
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, ENCODER
 
 T = STORE.types
@@ -69,6 +74,35 @@ def test_between_values_that_are_not_far_apart_they_lie_on_a_line_and_elsewhere_
     values, known = found.at(START_NS + (asked * 1e6).astype(np.int64))
     assert known.tolist() == [one not in (-1.0, 100.0, 202.0) for one in asked]
     assert values[known] == pytest.approx(3.0 * asked[known], rel=1e-9)
+
+
+@pytest.mark.parametrize(("back_ms", "warned"), [(0, False), (20, False), (21, True)])
+def test_stamps_that_go_back_further_than_a_delay_are_put_in_order_with_a_warning(tmp_path, back_ms, warned):
+    kind, ms = "geometry_msgs/msg/PointStamped", [0, 50, 100, 100 - back_ms, 120, 110]
+    stamps = [START_NS + 1_000_000 * one for one in ms]
+    data = [bytes(STORE.serialize_cdr(point(number, header(ns)), kind)) for number, ns in enumerate(stamps)]
+    bag = bag_of(tmp_path / "bag", (("/probe", kind, one, START_NS, START_NS) for one in data))
+    with noting_warnings() as texts:
+        found = read_field(bag, Field("probe", "point.y"))
+    assert found.stamp.tolist() == sorted(set(stamps))
+    assert [f"go back by {back_ms * 1e-3:.3g} s" in text for text in texts] == [True] * warned
+    assert set_back(np.array(stamps)) == pytest.approx(back_ms * 1e-3 * warned, abs=1e-12)
+
+
+def test_warnings_for_the_user_are_kept_once_each_and_those_about_code_are_passed_on():
+    with pytest.warns(DeprecationWarning, match="old"), noting_warnings() as texts:
+        for text in ("a", "b", "a"):
+            warnings.warn(text, stacklevel=1)
+        warnings.warn("old", DeprecationWarning, stacklevel=1)
+    assert texts == ["a", "b"]
+
+
+def test_a_topic_that_is_absent_or_without_messages_is_refused_by_its_name(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add(Topic("/silent", ENCODER.layout.type_name))
+    for topic, words in (("other", "has no topic 'other'; it has /silent"), ("silent", "'/silent' has no messages")):
+        with pytest.raises(BagError, match=words):
+            read_field(tmp_path / "bag", Field(topic, "y"))
 
 
 @pytest.mark.parametrize("time_ns", [1 << 63, (1 << 64) - 1])

@@ -9,6 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 from recording import LAYOUTS, information
+from waiting import comes_true
 
 from straightcomp_ros.bags import BagError, RecorderParameters
 from straightcomp_ros.bags import information as origin_module
@@ -78,7 +79,7 @@ def test_a_pause_within_a_snapshot_is_an_interruption_and_no_message():
     assert (intake.snapshot(), list(intake.queue)) == (1, [BREAK, message(60)])
 
 
-def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, monkeypatch):
+def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, monkeypatch, capfd):
     def git(*words):
         identity = ("-c", "user.name=a", "-c", "user.email=a@b")
         return subprocess.run(["git", "-C", tmp_path, *identity, *words], check=True, capture_output=True, text=True)
@@ -93,6 +94,7 @@ def test_the_revision_is_that_of_the_repository_that_has_this_file(tmp_path, mon
     assert origin()["revision"] == git("rev-parse", "--short=12", "HEAD").stdout.strip()
     monkeypatch.setattr(origin_module, "__file__", str(others))
     assert origin()["revision"] == "unknown"
+    assert capfd.readouterr() == ("", "")  # a logger's terminal is the operator's
 
 
 def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruption_are_not():
@@ -107,7 +109,8 @@ def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruptio
     losses.add("/a", packed(100, 102))
     assert losses.by_topic() == {"/a": 3}
     # Repeated, overtaken and too short for a stamp: no step, and no loss.
-    losses.add("/a", [*packed(102, 101), b"short", bytes(11), *packed(103)])
+    losses.add("/a", [*packed(102, 101), b"short", bytes(11), packed(103)[0][:12]])
+    losses.add("/a", packed(104))
     assert losses.by_topic() == {"/a": 3}
     losses.add("/b", [])
     losses.add("/c", packed(1))
@@ -115,6 +118,9 @@ def test_stamps_lost_between_two_batches_are_counted_and_those_of_an_interruptio
     # Seconds count as well as nanoseconds.
     losses.add("/d", packed(0, 1000, 3000))
     assert losses.by_topic()["/d"] == 1
+    # However fine the grid is.
+    losses.add("/e", [ENCODER.layout.pack(ns, 0, 0, 0, 0) for ns in (10, 11, 13)])
+    assert losses.by_topic()["/e"] == 1
 
 
 def recorder_in(folder: Path, describe=lambda bag, at_end: None, **options) -> Recorder:
@@ -193,6 +199,18 @@ def test_an_expected_topic_is_in_each_bag_as_it_was_announced_or_else_as_it_was_
 
     assert only_topic("run") == ("best_effort", 0)
     assert only_topic("run_2") == ("reliable", 1)
+
+
+def test_a_recording_goes_on_in_a_new_file_when_that_is_asked_for(tmp_path):
+    recorder = recorder_in(tmp_path, min_free_bytes=0)
+    recorder.start()
+    for number in range(2):
+        recorder.intake.add(*sample(number))
+        recorder.split()
+        assert comes_true(lambda number=number: (tmp_path / "run" / f"run_{number + 1}.mcap").exists())
+    recorder.intake.add(*sample(2))
+    recorder.stop()
+    assert [file["message_count"] for file in information(tmp_path / "run")["files"]] == [1, 1, 1]
 
 
 def test_a_full_disk_ends_a_recording_with_what_came_before(tmp_path):

@@ -170,6 +170,9 @@ LONGEST_FIRST = "the controller got no CPU for 180 ms, the driver got no CPU for
         # Other programs do not hold up a node of real-time priority.
         ("FIFO 40", [(200e3, 300e3), (100.0, 20e3)], "the driver was late by 300 ms", "doctor"),
         (NORMAL, [(3e3, 4e3), (0.0, 0.0)], "", ""),
+        # From ten samples at 2 kHz on.
+        (NORMAL, [(5e3, 5e3)], "the driver got no CPU for 5 ms", "the parameter realtime.priority"),
+        ("FIFO 40", [(0.0, 5e3)], "the driver was late by 5 ms", "doctor"),
         (NORMAL, [], "", ""),
     ],
 )
@@ -213,6 +216,7 @@ def test_nodes_on_one_cpu_use_up_its_limit_together_and_nodes_of_one_process_cou
 def test_the_limit_is_read_from_reports_and_anything_else_in_its_place_is_none():
     values = {PROCESS: "7", CPUS: "1", CPU_CORES: "0.93", REALTIME_LIMIT: "950000/1000000"}
     assert held_up([report(45e3, 46e3, "FIFO 40") | values]) == STOPPED
+    assert held_up([report(1, 1) | values | {REALTIME_LIMIT: "7/7"}]).limit == (7.0, 7.0)  # all of the period
     for text in ("", "-1", "950000", "x/y", "2/1", "/"):
         assert held_up([report(45e3, 46e3) | values | {REALTIME_LIMIT: text}]).limit == (0.0, 0.0)
 

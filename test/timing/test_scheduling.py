@@ -1,7 +1,9 @@
 """CPUs and priorities of a process's threads, on a machine that permits or refuses them."""
 
+import errno
 import os
 import threading
+from unittest.mock import Mock
 
 import pytest
 
@@ -10,8 +12,8 @@ from straightcomp_ros.timing.realtime import LOOP, REST, RealtimeParameters, pla
 
 
 class Machine:
-    """CPUs, policy and priority by thread, as the kernel keeps them. Of its four CPUs a killed guard took the first from
-    the process; the last two have loops, and this process's is the last."""
+    """CPUs, policy and priority by thread, as the kernel keeps them. Of its four CPUs a killed guard took the first
+    from the process; the last two have loops, and this process's is the last."""
 
     def __init__(self, folder, monkeypatch, permits):
         self.me, self.permits, self.done = threading.get_native_id(), permits, []
@@ -114,6 +116,17 @@ def test_memory_sleep_and_other_programs_are_left_alone_unless_asked_for(tmp_pat
     started.set()
     helper.join()
     assert helper_then == [{1}, OTHER, 0]
+
+
+@pytest.mark.parametrize(("result", "refused"), [(0, 0), (-1, 1)])
+def test_memory_that_the_system_does_not_lock_is_refused_with_its_reason(monkeypatch, result, refused):
+    library = Mock(mlockall=Mock(return_value=result))
+    monkeypatch.setattr(realtime.ctypes, "CDLL", lambda *_, **__: library)
+    monkeypatch.setattr(realtime.ctypes, "get_errno", lambda: errno.ENOMEM)
+    refusals = realtime.apply(RealtimeParameters(lock_memory=True))
+    assert len(refusals) == refused and all("Cannot allocate memory" in words for words in refusals)
+    # MCL_CURRENT | MCL_FUTURE of Linux: what is mapped now and later.
+    library.mlockall.assert_called_once_with(3)
 
 
 def test_cpus_that_cannot_be_had_are_refused():
