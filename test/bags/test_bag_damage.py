@@ -5,15 +5,16 @@ import random
 import re
 import struct
 import warnings
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from recording import LAYOUTS, add_streams, mcap_of, messages, recorded, records, write
+from recording import LAYOUTS, add_streams, mcap_of, messages, record, recorded, records, write
 from rosbags.rosbag2 import Reader
 from tiers import nightly
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, mcap_input, recovery
 from straightcomp_ros.bags.mcap_input import McapInput
 from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
@@ -275,3 +276,95 @@ def test_the_shortest_message_is_one_without_data(tmp_path, length, saved):
     path.write_bytes(mcap_of((Opcode.CHANNEL, channel), (Opcode.MESSAGE, b"\1\0" + bytes(length - 2))))
     result = recover(path, tmp_path / "new")
     assert (result.saved.total(), len(result.gaps)) == (saved, 1 - saved)
+
+
+CHANNEL = Opcode.CHANNEL, struct.pack("<HHI2sI3sI", 1, 0, 2, b"/x", 3, b"cdr", 0)
+
+
+def loose(channel, data=b""):
+    return Opcode.MESSAGE, struct.pack("<HIQQ", channel, 0, 7, 7) + data
+
+
+def unchecked(*inside):
+    """A chunk without compression and without a checksum."""
+    data = b"".join(record(*one) for one in inside)
+    return Opcode.CHUNK, struct.pack("<QQQIIQ", 7, 7, len(data), 0, 0, len(data)) + data
+
+
+def test_messages_outside_chunks_are_taken_in_blocks_with_their_places(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap_input, "_LOOSE_SIZE", 100)
+    path = tmp_path / "loose.mcap"
+    # Of 41 bytes each; a chunk among them is a block of its own.
+    messages = [loose(1, bytes([number] * 10)) for number in range(7)]
+    path.write_bytes(mcap_of(CHANNEL, *messages[:4], unchecked(messages[4]), *messages[5:]))
+    with McapInput(path) as file:
+        blocks = list(file.blocks(["/x"]))
+    assert [places["/x"].tolist() for _, places in blocks] == [[0, 41, 82], [0], [0], [0, 41]]
+    assert b"".join(data for data, _ in blocks) == b"".join(record(*one) for one in messages)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words", "here", "saved"),
+    [
+        (loose(9), "it has messages of a channel 9 that it does not describe", False, 2),
+        ((Opcode.MESSAGE, b"\1\0"), "a message is too short", True, 2),
+        (unchecked(loose(9)), "it has messages of a channel 9 that it does not describe", False, 2),
+        (unchecked(loose(1), (Opcode.MESSAGE, b"\1\0")), "a message is too short", True, 3),
+    ],
+)
+def test_a_message_that_cannot_be_one_is_damage_where_it_stands_and_the_others_are_saved(
+    tmp_path, wrong, words, here, saved
+):
+    path, good = tmp_path / "run.mcap", unchecked(loose(1, b"abcd"))
+    content = mcap_of(CHANNEL, good, wrong, good)
+    path.write_bytes(content)
+    place = content.index(record(*wrong))
+    with McapInput(path) as file, pytest.raises(BagError, match=re.escape(words)) as refused:
+        list(file.blocks(["/x"]))
+    assert refused.value.damage == words and f"at byte {place if here else 0}:" in str(refused.value)
+    result = recover(path, tmp_path / "new")
+    assert result.saved == {"/x": saved}
+    ((name, start, length, _),) = result.gaps
+    assert (name, start) == ("run.mcap", place) and 0 < length <= len(record(*wrong))
+
+
+def test_behind_a_record_of_a_wrong_length_the_next_sound_chunk_is_found_wherever_it_starts(tmp_path, monkeypatch):
+    wrong = bytearray(record(Opcode.METADATA, struct.pack("<I1sI", 1, b"a", 0)))
+    wrong[1] += 3  # into the next record
+    good = unchecked(loose(1, b"abcd"))
+    # What looks like chunks: one is longer than the file, another is of an unknown compression.
+    noise = bytes([6]) * 20 + record(Opcode.CHUNK, struct.pack("<QQQII2sQs", 0, 0, 1, 0, 2, b"xz", 1, b"x"))
+    content = mcap_of(CHANNEL, good, good)
+    place = content.index(record(*good)) + len(record(*good))
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content[:place] + wrong + noise + content[place:])
+    for size in (1 << 20, 1, 7, 30):
+        monkeypatch.setattr(recovery, "_SEARCH_SIZE", size)
+        result = recover(path, tmp_path / f"new{size}")
+        assert result.saved == {"/x": 2}
+        assert result.gaps == [("run.mcap", place, len(wrong + noise), "a record's length is wrong")]
+
+
+@pytest.mark.parametrize("place", [3, 30])
+def test_a_disk_that_does_not_read_is_named_with_the_byte(tmp_path, place):
+    (tmp_path / "run.mcap").write_bytes(mcap_of(CHANNEL))
+    with McapInput(tmp_path / "run.mcap") as file:
+        assert file.finished and file.read(place, 5) == mcap_of(CHANNEL)[place : place + 5]
+        file._file.close()
+        file._file = Mock(seek=Mock(side_effect=OSError(5, "Input/output error")))
+        with pytest.raises(BagError, match=f"cannot be read at byte {place}: Input/output error"):
+            file.read(place, 5)
+
+
+@pytest.mark.parametrize(
+    ("summary", "finished"), [(b"", True), (record(Opcode.STATISTICS, b"x"), False), (b"\x0b", False)]
+)
+def test_a_file_whose_summary_cannot_be_read_was_not_finished(tmp_path, summary, finished):
+    content = mcap_of(CHANNEL, loose(1, b"abcd"))
+    start = len(content) - 8 - 29
+    footer = record(Opcode.FOOTER, struct.pack("<QQI", start, 0, 0))
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content[:start] + summary + footer + content[-8:])
+    with McapInput(path) as file:
+        assert file.finished is finished
+        assert [places["/x"].tolist() for _, places in file.blocks(["/x"])] == [[0]]

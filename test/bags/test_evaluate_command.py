@@ -1,6 +1,8 @@
 """`straightcomp evaluate` on finished, unfinished and damaged bags."""
 
+import math
 import random
+from collections import namedtuple
 from unittest.mock import Mock
 
 import pytest
@@ -8,11 +10,13 @@ from places import SMC
 from recorded_run import recorded_run
 from verbs import ran
 
+from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.cli import Terminated
-from straightcomp_ros.contract import DISPLACEMENT
+from straightcomp_ros.contract import CONTROLLER_STATE, DISPLACEMENT, STREAMS, TRUTH
 from straightcomp_ros.control.laws import ControlParameters
+from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.messages.cdr import joint_state
 from straightcomp_ros.offline.simulation import Simulation
 
@@ -44,6 +48,28 @@ def test_its_figures_are_those_of_the_simulation_which_writing_a_bag_does_not_ch
     assert [stroke["direction"] for stroke in evaluated["strokes"]] == ["forward", "backward"]
     assert (evaluated["lost_samples"], evaluated["lost_commands"]) == (0, 0)
     assert evaluated["latency_p50_us"] == pytest.approx(5e5 * simulated["delay_samples"] / 1e3)
+
+
+def test_each_stream_of_a_simulated_bag_has_what_belongs_to_its_sample(tmp_path):
+    command = namedtuple("command", ("current", *CONTROLLER_STATE.layout.columns[:-1]))
+    width = len(CONTROLLER_STATE.layout.columns) - 1
+    with SimulatedRun(tmp_path / "run", {}, 1.5) as run:
+        for k in range(3):
+            # The amplifier is on from the second sample on; the last one comes a period late.
+            sample = Sample((0, 500_000, 1_500_000)[k], 0.1 * k, 0.2 * k, 0.3 * k if k else math.nan)
+            truth = [0.4 * k + column for column in range(len(TRUTH.layout.columns))]
+            run.add(sample, truth, (0.5 * k, 0.6 * k, 0.7 * k), command(0.8 + k, *[0.9 * k] * width), 1e-3 * k)
+    streams = read_streams(tmp_path / "run", {stream.topic: stream.layout for stream in STREAMS})
+    for stream in streams.values():
+        assert stream.stamp.tolist() == stream.log_time.tolist()
+        assert (stream.stamp - stream.stamp[0]).tolist() == [0, 500_000, 1_500_000] and stream.stamp[0] > 0
+    driver = [column.tolist() for column in streams["driver_state"].columns.values()]
+    # The command before has come, and is what the amplifier has been asked for.
+    assert driver[0][1:] == pytest.approx([0.75e-3, 1.5e-3]) and math.isnan(driver[0][0])
+    assert driver[1:] == [[0.0] * 3, [0.0, 0.8, 1.8], [0.0, 1.0, 1.0]]
+    state = [column.tolist() for column in streams["controller_state"].columns.values()]
+    assert state == [[0.0, 0.9, 1.8]] * width + [[0.0, 1e-3, 2e-3]]
+    assert [column.tolist() for column in streams["command"].columns.values()] == [[0.8, 1.8, 2.8]]
 
 
 @pytest.mark.parametrize(("stop", "left"), [(KeyboardInterrupt, False), (Terminated, False), (ValueError, True)])
