@@ -338,6 +338,9 @@ def test_behind_a_record_of_a_wrong_length_the_next_sound_chunk_is_found_whereve
     place = content.index(record(*good)) + len(record(*good))
     path = tmp_path / "run.mcap"
     path.write_bytes(content[:place] + wrong + noise + content[place:])
+    (tmp_path / "cut.mcap").write_bytes(content[:place])
+    result = recover(tmp_path / "cut.mcap", tmp_path / "of_cut")
+    assert (result.saved, result.gaps, result.unfinished) == ({"/x": 1}, [], ["cut.mcap"])
     for size in (1 << 20, 1, 7, 30):
         monkeypatch.setattr(recovery, "_SEARCH_SIZE", size)
         result = recover(path, tmp_path / f"new{size}")
