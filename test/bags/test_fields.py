@@ -12,7 +12,7 @@ from straightcomp_ros.bags.reader import set_back
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.bags.topics import Topic
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import DIAGNOSTICS, DISPLACEMENT, ENCODER
+from straightcomp_ros.contract import COMMAND, DIAGNOSTICS, DISPLACEMENT, ENCODER
 
 T = STORE.types
 START_NS = 1_700_000_123_000_000_456
@@ -143,7 +143,14 @@ def test_a_field_that_is_not_there_is_named_with_what_there_is(tmp_path, path, w
         read_field(bag, Field("probe", path))
 
 
-@pytest.mark.parametrize(("stream", "path"), [(ENCODER, "position[stage_x]"), (DISPLACEMENT, "position[displacement]")])
+@pytest.mark.parametrize(
+    ("stream", "path"),
+    [
+        (ENCODER, "position[stage_x]"),
+        (DISPLACEMENT, "position[displacement]"),
+        (COMMAND, "effort[platform_y]"),  # the encoder has an element of this name, too
+    ],
+)
 def test_our_own_streams_are_read_as_columns(tmp_path, stream, path, monkeypatch):
     monkeypatch.setattr(fields, "decoded", None)  # not message by message
     layout = stream.layout

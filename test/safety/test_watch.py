@@ -63,6 +63,7 @@ def test_x_that_jumps_is_found_and_neither_full_speed_nor_lost_samples_nor_a_res
     assert feed(found, 101, 0.06, 0.0) == (Fault.X_JUMP, "x went from 50.0000 to 60.0000 mm within one sample")
     found.restart()
     assert feed(found, 102, 1.0, 0.0) is None
+    assert feed(found, 103, -1.0, 0.0)[0] is Fault.X_JUMP  # to the other side of zero
     # At the largest speed, exactly.
     found = watch(from_mapping(StageParameters, {"motion.highest_speed": 1.0}))
     step = T * 1e-9
@@ -155,6 +156,27 @@ def test_no_friction_within_the_uncertainty_makes_y_frozen_and_more_does():
     # With a smaller uncertainty a dead encoder is found sooner.
     assert moving_current(STAGE, 0.01) == pytest.approx(0.108, abs=0.001)
     assert moving_current(rough, 0.01) > 0.3
+
+
+def test_the_current_that_must_move_y_is_that_of_the_worst_machine_within_the_uncertainty():
+    def current(time=0.004, **facts):
+        known = {
+            "uncertainty_mass": 0.0,
+            "uncertainty_friction": 1.0,
+            "uncertainty_force": 0.0,
+            "uncertainty_air_gap": 0.0,
+        }
+        values = {name.replace("_", ".", 1): value for name, value in (known | facts).items()}
+        return moving_current(from_mapping(StageParameters, values), time)
+
+    mass, static, nominal = STAGE.platform.mass, STAGE.friction.static, current()
+    assert current(uncertainty_friction=2.5) == pytest.approx(current(friction_static=2.5 * static))
+    both = current(uncertainty_force=0.2, uncertainty_air_gap=0.1)
+    assert both == pytest.approx(nominal * 1.1**2 / 0.8)
+    # What a count takes in a shorter time, thrown up and falling again: 8 h / time² of the mass.
+    turned = 2.0 * mass * 8.0 * COUNT / STAGE.actuator.current_stiffness / 0.004**2
+    assert current(0.002) - nominal == pytest.approx(3.0 * turned)
+    assert current(uncertainty_mass=0.3) - nominal == pytest.approx(0.3 * turned)
 
 
 FREE = {"friction.coulomb": 0.0, "friction.static": 0.0}

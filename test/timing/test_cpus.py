@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -296,6 +297,25 @@ def test_work_that_takes_long_leaves_the_cpus_of_loops_and_comes_back(own_names)
     end_loop()
     with at_normal_priority():
         assert os.sched_getaffinity(0) == permitted
+
+
+def test_work_that_takes_long_gives_up_its_own_threads_priority_and_gets_it_back(own_names, monkeypatch):
+    asked = []
+    monkeypatch.setattr(os, "sched_getscheduler", lambda thread: os.SCHED_FIFO)
+    monkeypatch.setattr(os, "sched_getparam", lambda thread: os.sched_param(40))
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *given: asked.append((*given[:2], given[2].sched_priority)))
+    with at_normal_priority():
+        assert asked == [(0, os.SCHED_OTHER, 0)]
+    assert asked[1:] == [(0, os.SCHED_FIFO, 40)]
+
+
+def test_a_name_is_waited_for_as_long_as_is_asked(own_names):
+    held = other(0, "a")
+    assert other(0, "a") is None
+    release = threading.Timer(0.05, held.close)
+    release.start()
+    with claim(f"{cpus._LOOPS}0/a/1", 30.0):
+        release.join()
 
 
 @pytest.mark.parametrize(

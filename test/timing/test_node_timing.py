@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from bag_of_rows import STORE
 
 from straightcomp_ros.timing.delays import NOTHING, Histogram
 from straightcomp_ros.timing.node_timing import (
@@ -24,6 +25,7 @@ from straightcomp_ros.timing.node_timing import (
     Report,
     amplifier_on,
     blamed,
+    count,
     held_up,
     reporting_node,
     summarise,
@@ -76,17 +78,29 @@ def test_the_words_give_what_is_new_since_the_last_report_and_a_loss_before_late
         assert found.startswith(words)
 
 
+def test_the_levels_are_those_of_diagnostics():
+    theirs = STORE.types["diagnostic_msgs/msg/DiagnosticStatus"]
+    assert [(level.name, level.value) for level in Level] == [
+        (name, getattr(theirs, name)) for name in ("OK", "WARN", "ERROR")
+    ]
+
+
+@pytest.mark.parametrize(("text", "number"), [("0", 0), (str(2**63 - 1), 2**63 - 1), (str(2**63), 0), ("9" * 19, 0)])
+def test_a_counter_is_known_up_to_the_largest_that_ros_has(text, number):
+    assert count({"samples": text}, "samples") == number
+
+
 @pytest.mark.parametrize("rate", [500, 2000, 8000])
 def test_short_gaps_are_overruns_and_long_ones_stalls_at_every_rate(rate):
     missed = MissedPeriods(10**9 // rate)
     below, beyond = rate // 500 - 1, rate // 500
-    for count in (below, 0, beyond, 10 * beyond):
-        missed.count(count)
+    for periods in (below, 0, beyond, 10 * beyond):
+        missed.count(periods)
     assert missed.report() == {"overruns": below, "stalls": 2, "stalled_ms": 22}
     # A wake-up that came a period late is none of the loop's own work, and one after which none was missed is none.
     period, short = 10**9 // rate, MissedPeriods(10**9 // rate)
-    for count, late_ns in ((1, period - 1), (1, period), (0, 10 * period)):
-        short.count(count, late_ns)
+    for periods, late_ns in ((1, period - 1), (1, period), (0, 10 * period)):
+        short.count(periods, late_ns)
     assert (short.overruns, short.stalls) == ((1, 1) if period < 2_000_000 else (0, 2))
 
 
@@ -197,7 +211,8 @@ KERNEL = "the kernel, the disk or the hypervisor"
         ({"limit": (0.0, 0.0)}, KERNEL),
         ({"cores": 0.6}, KERNEL),
         ({"no_cpu_us": 0.0}, KERNEL),  # the hypervisor stopped the whole machine
-        ({"late_us": 300e3}, KERNEL),  # longer than the limit can
+        ({"late_us": 55e3}, "driver was stopped for 45 ms by the kernel's limit"),
+        ({"late_us": 100e3}, KERNEL),  # longer than the limit can: the rest of its period is 50 ms
         ({"scheduling": NORMAL}, "got no CPU for 45 ms; real-time priority was not requested"),
     ],
 )
