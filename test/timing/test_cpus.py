@@ -117,6 +117,7 @@ def test_what_a_killed_guard_left_behind_is_seen_and_corrected_by_the_next_node(
     # Nodes that start meanwhile may use the CPU all the same.
     assert cpus.kept_free() == {stand.cpu} and cpus.left_behind() == set()
     (process,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
+    assert os.getsid(int(process)) == int(process)  # Ctrl-C in the node's terminal does not reach it
     os.kill(int(process), signal.SIGKILL)
     node.kill()
     assert comes_true(lambda: cpus.left_behind() == {stand.cpu}) and cpus.kept_free() == set()
