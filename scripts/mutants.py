@@ -115,7 +115,7 @@ def left_out(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             parts.append(node)
         if isinstance(node, ast.Call):
-            parts += [node] * (ast.unparse(node.func) == "parameter")
+            parts += [node] * (ast.unparse(node.func).rpartition(".")[2] in ("parameter", "subplots_adjust"))
             parts += [keyword.value for keyword in node.keywords if keyword.arg in LOOK | UNSEEN]
         spans += [((part.lineno, part.col_offset), (part.end_lineno, part.end_col_offset)) for part in parts if part]
     return spans

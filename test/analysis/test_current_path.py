@@ -84,7 +84,8 @@ def test_a_current_that_no_amplifier_explains_is_interpolated():
     noise = np.random.default_rng(3).standard_normal(4000)
     path = current_path(Recording(recording.period_ns, noise, noise, noise, recording.command, 4000), DRIVE)
     assert math.isnan(path.delay) and not path.rate_found
-    np.testing.assert_allclose(path.before[:-1] + path.after[:-1], noise[:-1] + noise[1:])
+    charge = path.before * path.switch_ns + path.after * (recording.period_ns - path.switch_ns)
+    np.testing.assert_allclose(charge[:-1], 0.5 * recording.period_ns * (noise[:-1] + noise[1:]))
 
 
 def written(bag, y, current, streams=(ENCODER, COMMAND), lost=range(0), parameters="", back=0, silent=()):

@@ -114,6 +114,7 @@ def test_the_clock_follows_a_quartz_through_jitter_and_losses(ppm):
 def test_what_is_late_for_a_while_does_not_make_the_stamps_late_for_long(ppm, lateness, count, begin, first, largest):
     errors, stamps = followed(ppm, lateness, count=count)
     assert np.abs(errors[begin:]).max() < largest and first in (None, errors[0])
+    assert len(stamps) == count - (BLOCK - 1)
     assert np.diff(stamps).min() > 0
 
 
