@@ -128,7 +128,7 @@ def test_a_message_with_a_changed_byte_is_read_as_rosbags_reads_it_or_refused(st
     [
         (joint_state_bytes(["stage_x"], [1], [2]), "lacks position of 'platform_y'"),
         (joint_state_bytes(["stage_x", "platform_y"], [1, 2]), "lacks effort of 'stage_x'"),
-        (LITTLE[:8] + b"\xff\xff\xff\xff" + LITTLE[12:], "lacks a stamp with less than 1e9 nanoseconds"),
+        (LITTLE[:8] + (10**9).to_bytes(4, "little") + LITTLE[12:], "lacks a stamp with less than 1e9 nanoseconds"),
         (ENCODER.layout.pack(1, 1, 2, 3, 4)[:-5], "does not decode"),
         (b"", "does not decode"),
         (b"\x00\x07\x00\x00" + bytes(200), "does not decode"),
