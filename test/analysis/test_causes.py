@@ -24,8 +24,12 @@ from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessM
 
 T = 5e-4
 TIME = np.arange(16_000) * T
-RANDOM = np.random.default_rng(1)
 THERE_AND_BACK = 1.0 - np.abs(TIME - 4.0) / 4.0
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(1)
 
 
 def motion(error, period=T, **changes) -> JudgedMotion:
@@ -40,9 +44,9 @@ def sine(frequency, period=T, size=16_000):
 
 
 @pytest.mark.parametrize("begin", [-3.0, 2.0])
-def test_the_spectrum_over_uneven_places_is_that_of_the_sum_over_all_samples(begin):
-    along = begin + np.sort(RANDOM.uniform(0.0, 1.7, 1000))
-    error = 0.7 + np.sin(2.0 * np.pi * 7.3 * along) + RANDOM.standard_normal(along.size)
+def test_the_spectrum_over_uneven_places_is_that_of_the_sum_over_all_samples(begin, random):
+    along = begin + np.sort(random.uniform(0.0, 1.7, 1000))
+    error = 0.7 + np.sin(2.0 * np.pi * 7.3 * along) + random.standard_normal(along.size)
     tried, spectrum = causes._spectrum(along, error, 20.0)
     # A quarter of the resolution lies between two frequencies: no line loses more than 3 % between them.
     assert np.diff(tried) == pytest.approx(0.25 / np.ptp(along), rel=2e-3) and tried[-1] > 40.0
@@ -54,9 +58,9 @@ def test_the_spectrum_over_uneven_places_is_that_of_the_sum_over_all_samples(beg
     assert line == pytest.approx((expected.max(), 7.3), rel=0.02)
 
 
-def test_the_strongest_line_is_that_of_a_loop_over_the_frequencies():
-    tried, spectrum = 0.5 * np.arange(40), RANDOM.uniform(size=40)
-    for low, high in RANDOM.integers(0, 40, (50, 2)) * 0.5:
+def test_the_strongest_line_is_that_of_a_loop_over_the_frequencies(random):
+    tried, spectrum = 0.5 * np.arange(40), random.uniform(size=40)
+    for low, high in random.integers(0, 40, (50, 2)) * 0.5:
         inside = [(amplitude, at) for at, amplitude in zip(tried, spectrum, strict=True) if low <= at <= high]
         assert causes._strongest(tried, spectrum, low, high) == max(inside, default=(0.0, low))
 
@@ -70,8 +74,8 @@ def test_the_background_of_a_line_is_the_median_from_two_widths_of_a_line_to_hal
     assert causes._background(tried, tried, 4.0 / at, at) == math.inf > causes._background(tried, tried, 5.0 / at, at)
 
 
-def test_a_line_stands_out_of_noise_within_the_resolution_of_the_length_only():
-    error, length = sine(100.0) + 0.3e-6 * 9.0 * RANDOM.standard_normal(TIME.size), float(np.ptp(TIME))
+def test_a_line_stands_out_of_noise_within_the_resolution_of_the_length_only(random):
+    error, length = sine(100.0) + 0.3e-6 * 9.0 * random.standard_normal(TIME.size), float(np.ptp(TIME))
     assert all(causes._stands_out(TIME, error, 100.0 + away / length) for away in (-0.9, 0.0, 0.9))
     assert not any(causes._stands_out(TIME, error, 100.0 + away / length) for away in (-3.0, 3.0, 40.0))
     assert [causes._stands_out(TIME, error, 100.0, least) for least in (0.25e-6, 0.4e-6)] == [True, False]
@@ -101,16 +105,16 @@ def test_each_line_of_a_grid_is_of_the_mains_within_the_grids_tolerance(grid):
     ],
 )
 def test_a_line_of_twelve_samples_is_of_the_mains_by_a_line_that_a_symmetric_limit_cycle_has_not(
-    other, amplitude, is_mains
+    other, amplitude, is_mains, random
 ):
-    noise = 1e-10 * RANDOM.standard_normal(16_000)
+    noise = 1e-10 * random.standard_normal(16_000)
     error = sine(50.0, 1.0 / 600.0) + amplitude * sine(other, 1.0 / 600.0) + noise
     assert (mains(motion(error, 1.0 / 600.0), Line(0.3e-6, 50.0)) is not None) == is_mains
 
 
 @pytest.mark.parametrize(("away", "is_mains"), [(-1.5, True), (-0.5, False), (0.5, False), (1.5, True)])
-def test_a_line_that_the_length_resolves_from_whole_samples_is_no_limit_cycle(away, is_mains):
-    error = sine(50.0 + away * 600.0 / 16_000, 1.0 / 600.0) + 1e-10 * RANDOM.standard_normal(16_000)
+def test_a_line_that_the_length_resolves_from_whole_samples_is_no_limit_cycle(away, is_mains, random):
+    error = sine(50.0 + away * 600.0 / 16_000, 1.0 / 600.0) + 1e-10 * random.standard_normal(16_000)
     assert (mains(motion(error, 1.0 / 600.0), Line(0.3e-6, 50.0)) is not None) == is_mains
 
 
@@ -149,18 +153,18 @@ def test_a_line_comes_and_goes_from_half_of_the_spread_of_noise_behind_a_resonan
         assert comes_and_goes(pieces, 60.0, T) == expected
 
 
-def test_the_velocity_is_over_two_milliseconds_and_relative_to_its_rms():
-    error = RANDOM.standard_normal(500)
+def test_the_velocity_is_over_two_milliseconds_and_relative_to_its_rms(random):
+    error = random.standard_normal(500)
     for period, span in ((5e-4, 4), (1e-3, 2), (0.01, 1)):
         moved = np.array([error[k + span] - error[k] for k in range(500 - span)])
         assert causes._relative_velocity(error, period) == pytest.approx(moved / math.sqrt(np.mean(moved**2)))
     assert not causes._relative_velocity(np.ones(9), T).any() and not causes.stick_slip(error[:3], T)
 
 
-def test_bursts_are_those_of_a_loop_over_the_jumps():
+def test_bursts_are_those_of_a_loop_over_the_jumps(random):
     outcomes = set()
     for _ in range(300):
-        velocity = RANDOM.standard_t(2.0, 40) * (RANDOM.uniform(size=40) < RANDOM.uniform(0.2, 1.0))
+        velocity = random.standard_t(2.0, 40) * (random.uniform(size=40) < random.uniform(0.2, 1.0))
         jumps = [at for at, one in enumerate(velocity) if abs(one) > 2.0]
         stands = [abs(one) < 0.2 for one in velocity]
         between = [
@@ -193,8 +197,8 @@ def test_drag_is_told_from_friction_an_offset_and_a_spring(friction, drag, found
     )
 
 
-def test_white_noise_has_no_cause_whether_the_stage_makes_strokes_or_not():
-    noise = 1e-7 * RANDOM.standard_normal(TIME.size)
+def test_white_noise_has_no_cause_whether_the_stage_makes_strokes_or_not(random):
+    noise = 1e-7 * random.standard_normal(TIME.size)
     for x in (THERE_AND_BACK, 0.2 * TIME, 0.1 * np.sin(1e-6 * TIME), 1e-7 * np.round(0.5 * np.sin(TIME))):
         run = motion(noise, x=x, r=1e-5 * np.sin(TIME))
         assert of_error(run) == causes.UNKNOWN and locked_to_x(run) is None
@@ -203,19 +207,19 @@ def test_white_noise_has_no_cause_whether_the_stage_makes_strokes_or_not():
 PAUSED = np.cumsum(np.select([TIME < 3.0, TIME < 5.0], [0.5, 0.0], -0.5)) * T
 
 
-def test_noise_that_is_as_large_at_rest_is_said_to_be_from_half_of_the_error_on():
-    noise = 1e-7 * RANDOM.standard_normal(TIME.size)
+def test_noise_that_is_as_large_at_rest_is_said_to_be_from_half_of_the_error_on(random):
+    noise = 1e-7 * random.standard_normal(TIME.size)
     for share, words in ((1.0, "as large at rest"), (0.6, "as large at rest"), (0.4, causes.UNKNOWN)):
         error = np.where((TIME > 3.0) & (TIME < 5.0), share * noise + 4e-8, noise)
         assert words in of_error(motion(error, x=PAUSED, r=1e-5 * np.sin(TIME)))
 
 
 @pytest.mark.parametrize(("back", "found"), [(-1.0, True), (1.0, True), (0.0, False)])
-def test_an_error_of_few_waves_is_the_places_if_the_way_back_has_it_with_either_sign(back, found):
+def test_an_error_of_few_waves_is_the_places_if_the_way_back_has_it_with_either_sign(back, found, random):
     time = np.arange(4000) * T
     x = 1.0 - np.abs(time - 1.0)
     ways = np.where(time < 1.0, 1.0, back)
-    error = 1e-7 * np.sin(6.0 * np.pi * x) * ways + 2e-8 * RANDOM.standard_normal(time.size)
+    error = 1e-7 * np.sin(6.0 * np.pi * x) * ways + 2e-8 * random.standard_normal(time.size)
     error[time >= 1.0] += (back == 0.0) * 1e-7 * np.sin(11.0 * np.pi * x[time >= 1.0])
     run = motion(error, x=x, r=1e-5 * np.sin(2.0 * np.pi * 1.7 * time))
     assert ("same at each place" in of_error(run)) == found
@@ -240,8 +244,8 @@ def test_why_a_map_does_not_fit_is_the_same_beside_any_straight_line(line):
 
 
 @pytest.mark.parametrize(("begin", "friction"), [(0.0, True), (-0.1, False)])
-def test_an_error_is_frictions_where_it_is_made_within_a_tenth_of_a_second_after_a_reversal(begin, friction):
-    error = 2e-8 * RANDOM.standard_normal(TIME.size)
+def test_an_error_is_frictions_where_it_is_made_within_a_tenth_of_a_second_after_a_reversal(begin, friction, random):
+    error = 2e-8 * random.standard_normal(TIME.size)
     for number, turn in enumerate(np.arange(0.5, 4.8, 1.0) / 0.6):
         error[(turn + begin < TIME) & (turn + begin + 0.1 > TIME)] += 0.5e-6 * (-1.0) ** (number // 2)
     run = motion(error, r=10e-6 * np.sin(2.0 * np.pi * 0.3 * TIME))
