@@ -158,11 +158,10 @@ def test_no_value_on_the_way_lies_outside_of_start_turning_and_held(value, slope
     coefficients, held, turning = runout(value, slope, curvature, length)
     curve = Polynomial(coefficients)
     ends = [[curve.deriv(order)(at) if order else curve(at) for order in range(3)] for at in (0.0, length)]
-    size = abs(value) + abs(slope) * length + abs(curvature) * length**2
+    # Numbers below 1e-308 have fewer digits: a floor of no size at all.
+    size = abs(value) + abs(slope) * length + abs(curvature) * length**2 + 1e-18
     for found, expected in zip(ends, ((value, slope, curvature), (held, 0.0, 0.0)), strict=True):
         assert found == pytest.approx(expected, abs=1e-9 * size / length**2)
-    path = Polynomial(coefficients)(np.linspace(0.0, length, 201))
-    # Numbers below 1e-308 have fewer digits: a floor of no size at all.
-    grain = 1e-12 * (abs(value) + abs(slope) * length + abs(curvature) * length**2) + 1e-30
-    assert path.max() <= max(value, turning, held) + grain
-    assert path.min() >= min(value, turning, held) - grain
+    path = curve(np.linspace(0.0, length, 201))
+    assert path.max() <= max(value, turning, held) + 1e-12 * size
+    assert path.min() >= min(value, turning, held) - 1e-12 * size
