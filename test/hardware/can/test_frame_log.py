@@ -73,7 +73,7 @@ def test_frames_are_recorded_as_they_were(tmp_path, ending):
 
 @FORMATS
 def test_a_log_that_was_never_finished_can_be_read_up_to_its_last_second(tmp_path, ending):
-    log, begin = written(tmp_path / f"bus{ending}", map(message, range(2000))), time.monotonic()
+    begin, log = time.monotonic(), written(tmp_path / f"bus{ending}", map(message, range(2000)))
     log._open = Mock(side_effect=log._open)
 
     def killed():
