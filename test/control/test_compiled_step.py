@@ -10,7 +10,7 @@ import pytest
 
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Law, flat
-from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law
+from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law, prepare_all
 from straightcomp_ros.model.plant import advance
 from straightcomp_ros.stage.description import StageParameters
 
@@ -35,6 +35,13 @@ def test_the_compiled_step_equals_the_function_to_the_last_bit(name):
         state, expected = law.function(law.gains, state, *sample)
         # repr shows every bit, and NaN equals NaN.
         assert repr(law.step(*sample)) == repr(expected)
+
+
+def test_the_steps_of_all_laws_are_prepared_together(monkeypatch):
+    prepared = []
+    monkeypatch.setattr(Law, "prepare", lambda law: prepared.append(law.function))
+    prepare_all()
+    assert prepared == [make_law(ControlParameters(law=name), STAGE).function for name in LAWS]
 
 
 @pytest.mark.parametrize("name", LAWS)

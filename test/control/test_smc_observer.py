@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.control import sliding_mode
 from straightcomp_ros.control.filters import FilterParameters, NotchParameters
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import (
@@ -21,7 +20,6 @@ from straightcomp_ros.control.laws import (
     dither_of,
     make_law,
     needs_dither,
-    prepare_all,
     states_of,
 )
 from straightcomp_ros.control.margins import closed_loop, linearised, sampled_plant, spectral_radius
@@ -395,7 +393,7 @@ def test_friction_holds_from_a_count_beside_the_balance_with_half_a_step_of_the_
         assert name == state and (control == ControlParameters()) is (state == "quiet")
 
 
-def test_what_a_law_forgets_it_forgets_by_its_time_constants(monkeypatch):
+def test_what_a_law_forgets_it_forgets_by_its_time_constants():
     gains = law(memory=3.0, rest_wait=0.2).gains
     for weight, seconds in (
         (1.0 - gains.kept, 3.0),
@@ -406,10 +404,6 @@ def test_what_a_law_forgets_it_forgets_by_its_time_constants(monkeypatch):
         assert (1.0 - weight) ** (seconds / T) == pytest.approx(math.exp(-1.0))
     # The magnets' stiffness pulls the mass by 1 m/s² there.
     assert STAGE.actuator.position_stiffness * gains.travel / STAGE.platform.mass == pytest.approx(1.0)
-    prepared = []
-    monkeypatch.setattr(Law, "prepare", lambda one: prepared.append(one.function))
-    prepare_all()
-    assert prepared == [sliding_mode.step, sliding_mode.step, step]
 
 
 @pytest.mark.parametrize("stiffness", [1e8, 1e9])
