@@ -102,6 +102,8 @@ def test_metadata_yaml_has_the_fields_of_version_9(tmp_path):
     # rosbag2 reads no anchors; it looks into the file when it is given that alone.
     assert "&id" not in text
     assert {path.name for path in bag.directory.iterdir()} == {"metadata.yaml", "run_0.mcap"}
+    named = recorded(tmp_path / "Prüfstand").directory
+    assert f"- {named.name}_0.mcap\n" in (named / "metadata.yaml").read_text("utf-8")
     serialized = read_metadata(bag.file)["rosbag2"]["serialized_metadata"]
     assert yaml.safe_load(serialized) == information(bag.directory)
 
