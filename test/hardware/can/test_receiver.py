@@ -130,9 +130,11 @@ def test_a_boot_up_forgets_the_counter_of_the_board_before(either):
     assert either.samples(300).newest(100) == list(range(200, 300))
 
 
-def test_the_commanded_current_is_none_before_the_first_command_and_a_bad_reading_is_waited_over():
-    board = Board(BARE).settled()
-    assert board.sample()[1].current == 0.0
+def test_before_the_first_command_the_current_of_a_board_that_measures_none_is_zero():
+    assert Board(BARE).settled().sample()[1].current == 0.0
+
+
+def test_over_bad_readings_the_stage_goes_on_as_far_as_its_speed_allows():
     moving = Board().settled()
     for _ in range(3):
         moving.sample(good=False)
