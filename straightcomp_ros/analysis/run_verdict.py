@@ -157,9 +157,10 @@ def _guide_fit(
         (middle, guide), followed = group_means(x, readings, piece), group_means(x, apart, piece)[1]
         spread = np.maximum(group_means(x, apart**2, piece)[1] - followed**2, 0.0)
         noise = float(np.sqrt(np.mean(spread) * guide.size / (known.size - guide.size)))
-        # The stage lingers where it starts and stops: each piece counts by its length.
-        speed = group_means(x, np.abs(np.gradient(record.x, record.time))[known], piece)[1]
-        x, (guide, left) = middle, (least_squares_residual(middle, one, speed) for one in (guide, followed))
+        # The stage lingers where it starts and stops, and one way may be slower: each piece counts by its length.
+        speed = np.abs(np.gradient(record.x, record.time))[known]
+        length = group_means(x, speed, piece)[1] * np.unique(piece, return_counts=True)[1]
+        x, (guide, left) = middle, (least_squares_residual(middle, one, length) for one in (guide, followed))
     cause = causes.of_map(x, left, reference.deviations, straightness)
     return GuideFit(peak_to_peak(guide), peak_to_peak(left), cause, noise)
 

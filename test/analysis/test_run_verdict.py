@@ -425,6 +425,13 @@ def test_of_a_sensor_the_noise_is_that_of_its_means_and_a_guide_that_differs_by_
         assert fit.left_pp == pytest.approx(left, rel=0.15, abs=0.03e-6)
         assert fit.guide_pp == pytest.approx(true.guide_pp, abs=left + 0.1e-6)
     assert (true.noise, true.left_pp) == pytest.approx((0.0, 0.0), abs=1e-12)
+    # Backward at half the speed: the line lies between the ways, as it does where the truth is known.
+    each = np.repeat(np.arange(record.x.size), np.where(backward, 2, 1))
+    slow = replace(
+        record, **{name: of[each] for name, of in record.columns().items()} | {"time": T * np.arange(each.size)}
+    )
+    fit = judged_motion(slow, cosine_map, {}, sensor=(guide + 1e-6 * backward * (record.x - record.x.mean()))[each]).fit
+    assert fit.left_pp == pytest.approx(0.5e-6 * np.ptp(record.x), rel=0.02)
 
 
 def test_a_run_is_judged_from_its_first_to_its_last_motion_by_its_truth_and_the_stalls_within(make_record, cosine_map):
