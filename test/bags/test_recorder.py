@@ -206,6 +206,8 @@ def test_a_recording_goes_on_in_a_new_file_when_that_is_asked_for(tmp_path):
     recorder.start()
     for number in range(2):
         recorder.intake.add(*sample(number))
+        # What still waits goes to the next file.
+        assert comes_true(lambda number=number: recorder.written == number + 1)
         recorder.split()
         assert comes_true(lambda number=number: (tmp_path / "run" / f"run_{number + 1}.mcap").exists())
     recorder.intake.add(*sample(2))
