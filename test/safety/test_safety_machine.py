@@ -100,7 +100,7 @@ def test_a_fault_in_a_message_is_shown_with_what_it_means_and_how_it_ends_and_an
     for text in (f"fault {fault.label}: a reason: its cause", fault.label, f" {fault.label} : 5"):
         shown = explained(text)
         assert (shown["text"], shown["means"], shown["causes"]) == (text, fault.value.means, fault.value.causes)
-        assert shown["remedy"].startswith(f"{fault.value.remedy}. Then: ")
+        assert shown["remedy"].startswith(f"{fault.value.remedy}. Then: ") and all(shown.values())
         # Each is understood alone. A recording that stopped does not switch off.
         assert "others" not in shown["remedy"]
         assert ("`driver/enable`" in shown["remedy"]) is (fault is not Fault.RECORDING_STOPPED)
