@@ -268,17 +268,16 @@ def test_a_file_is_closed_when_it_is_refused(tmp_path):
         McapInput(tmp_path / "nowhere.mcap")
 
 
+CHANNEL = Opcode.CHANNEL, struct.pack("<HHI2sI3sI", 1, 0, 2, b"/x", 3, b"cdr", 0)
+
+
 @pytest.mark.parametrize(("length", "saved"), [(21, 0), (22, 1), (23, 1)])
 def test_the_shortest_message_is_one_without_data(tmp_path, length, saved):
     # Channel, number and two times make 22 bytes.
-    channel = struct.pack("<HHI2sI3sI", 1, 0, 2, b"/x", 3, b"cdr", 0)
     path = tmp_path / "one.mcap"
-    path.write_bytes(mcap_of((Opcode.CHANNEL, channel), (Opcode.MESSAGE, b"\1\0" + bytes(length - 2))))
+    path.write_bytes(mcap_of(CHANNEL, (Opcode.MESSAGE, b"\1\0" + bytes(length - 2))))
     result = recover(path, tmp_path / "new")
     assert (result.saved.total(), len(result.gaps)) == (saved, 1 - saved)
-
-
-CHANNEL = Opcode.CHANNEL, struct.pack("<HHI2sI3sI", 1, 0, 2, b"/x", 3, b"cdr", 0)
 
 
 def loose(channel, data=b""):
