@@ -11,7 +11,7 @@ from tiers import nightly
 
 from straightcomp_ros.analysis import straightness_statement as statement
 from straightcomp_ros.analysis.metrics import LINES, about_lines
-from straightcomp_ros.analysis.record import Stroke, StrokeRecord, whole_ways
+from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, map_input, stated, statements
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
@@ -97,7 +97,7 @@ def test_a_curve_that_is_known_exactly_has_the_straightness_that_it_has_without_
     assert found == pytest.approx([*about_lines(X, curve[0], np.ones_like(X)).values()], rel=1e-9)
 
 
-@pytest.mark.parametrize(("noise", "motion", "within"), [(NOISE, 0.0, 0.1), (NOISE, 2.0 * NOISE, 0.3), (0.0, 0.0, 0.2)])
+@pytest.mark.parametrize(("noise", "motion", "within"), [(NOISE, 0.0, 0.15), (NOISE, NOISE, 0.2), (0.0, 0.0, 0.2)])
 def test_what_readings_add_to_a_straightness_is_what_drawn_strokes_show(noise, motion, within):
     """By brute force: strokes whose readings have this ``noise``, and a platform that moves itself. Without any the
     readings stand still, and the truth has what they hide."""
@@ -106,32 +106,32 @@ def test_what_readings_add_to_a_straightness_is_what_drawn_strokes_show(noise, m
     def drawn(half):
         return math.sqrt(3.0) * half * random.uniform(-1.0, 1.0, X.size)
 
-    true = [SHAPE + random.normal(0.0, motion, X.size) if motion else SHAPE for _ in range(20)]
+    true = [SHAPE + random.normal(0.0, motion, X.size) if motion else SHAPE for _ in range(80)]
     read = [one + drawn(noise) for one in true]
     of_read, of_true = ([[*about_lines(X, one, np.ones_like(X)).values()] for one in of] for of in (read, true))
     if not noise:
         # Each piece of x hides an error of its own.
-        hidden = [np.interp(X, X[10::20], drawn(NOISE)[10::20]) for _ in range(20)]
+        hidden = [np.interp(X, X[10::20], drawn(NOISE)[10::20]) for _ in range(80)]
         of_true = [[*about_lines(X, SHAPE + one, np.ones_like(X)).values()] for one in hidden]
     added = np.subtract(of_read, of_true)
     strokes = [(X / 0.3, X, one) for one in read]
     found = stated("after", "forward", strokes, [Input("encoder", NOISE)])
     for one, by_line in zip(found, added.T, strict=True):
         assert one.budget[1].correction == pytest.approx(-by_line.mean(), rel=within)
-        # Of the mean of twenty strokes.
-        assert 0.4 < one.budget[1].share / (by_line.std() / math.sqrt(20.0)) < 5.0
+        # Of the mean of eighty strokes.
+        assert 0.6 < one.budget[1].share / (by_line.std() / math.sqrt(80.0)) < 4.0
         assert one.measured == pytest.approx(np.mean(of_read, axis=0)[LINES.index(one.line)], rel=1e-3)
 
 
 def test_errors_of_a_map_that_no_encoder_sees_widen_the_truth_as_drawn_ones_do():
     random = np.random.default_rng(6)
     straight = about_lines(X, SHAPE, np.ones_like(X))
-    errors = (cubic_spline(POINTS, random.normal(0.0, NOISE, POINTS.size))(X) for _ in range(150))
+    errors = (cubic_spline(POINTS, random.normal(0.0, NOISE, POINTS.size))(X) for _ in range(600))
     drawn = np.array([[*about_lines(X, SHAPE + one, np.ones_like(X)).values()] for one in errors])
     strokes = [(X / 0.3, X, SHAPE)]
     found = stated("after", "forward", strokes, [Input("map", NOISE, POINTS, seen=False)], repeats=False)
     for one, of_line in zip(found, drawn.T, strict=True):
-        assert one.budget[0].correction == pytest.approx(of_line.mean() - straight[one.line], rel=0.15)
+        assert one.budget[0].correction == pytest.approx(of_line.mean() - straight[one.line], rel=0.25)
         assert one.budget[0].share == pytest.approx(of_line.std(), rel=0.2)
     # They are the same in all strokes, and what one error in all does is that of one.
     again = stated("after", "forward", 4 * strokes, [Input("map", NOISE, POINTS, seen=False)], repeats=False)
@@ -228,14 +228,6 @@ def test_a_stroke_in_parts_is_stated_as_a_whole_and_shorter_ones_are_left_out(ma
     for one, other in zip(whole, found, strict=True):
         assert (other["strokes"], other["left_out"]) == (1, int(one["direction"] == "forward"))
         assert other["value_um"] == pytest.approx(one["value_um"], abs=0.02)
-    # The stage may come back while the recording is paused: that is no way of twice the strokes.
-    (first, last), x = [Stroke(0, 3, "forward"), Stroke(3, 6, "forward")], np.array([0.0, 1.0, 2.0])
-    assert whole_ways([first, last], np.append(x, x)) == ([[first], [last]], [])
-    assert whole_ways([first, last], np.append(x, x + 2.0)) == ([[first, last]], [])
-    # A way is as long wherever the zero of x lies.
-    back = Stroke(3, 6, "backward")
-    for zero in (-9.0, -1.0, 0.0, 9.0):
-        assert whole_ways([first, back], np.append(x, 2.0 - 0.1 * x) - zero) == ([[first]], [[back]])
 
 
 @pytest.mark.parametrize("samples", [500, 2000])
