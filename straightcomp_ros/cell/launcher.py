@@ -13,6 +13,7 @@ import os
 import random
 import select
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -78,11 +79,26 @@ def in_namespace(namespace: str) -> list[str]:
     return ["-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
 
 
+def free_domain(among: Sequence[int] = range(1, 102)) -> str:
+    """A random ROS domain in which no process of this computer takes part; LaunchError if each has one.
+
+    The ports of domains 1 to 101 do not collide with Linux's ephemeral ports.
+    """
+    for domain in random.SystemRandom().sample(among, len(among)):
+        try:
+            for participant in range(32):
+                # Discovery of a participant listens at 7400 + 250 domain + 10 + 2 participant (RTPS 2.5, 9.6.2.3).
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+                    listener.bind(("", 7410 + 250 * domain + 2 * participant))
+        except OSError:
+            continue
+        return str(domain)
+    raise LaunchError(f"each ROS domain from {min(among)} to {max(among)} is in use on this computer")
+
+
 def isolated_environment() -> dict[str, str]:
-    """This environment, with discovery limited to this computer and, unless one is set, a random ROS domain."""
-    # The ports of domains 1 to 101 do not collide with Linux's ephemeral ports.
-    domain = str(random.SystemRandom().randint(1, 101))
-    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain, **os.environ}
+    """This environment, with discovery limited to this computer and, unless one is set, a ROS domain that is free."""
+    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": free_domain(), **os.environ}
 
 
 class Graph:

@@ -1,7 +1,6 @@
 """Plays recorded samples to the real feedforward, controller and logger, without a driver."""
 
 import os
-import random
 import shutil
 import tempfile
 import time
@@ -17,7 +16,7 @@ from straightcomp_ros.analysis.interruption import played
 from straightcomp_ros.bags.folder import opened
 from straightcomp_ros.bags.reader import StreamColumns, read_attachments, read_streams, streams_of_stage
 from straightcomp_ros.bags.recorded_nodes import parameters_of, replayed_map
-from straightcomp_ros.cell.launcher import SLACK_S, Graph, LaunchError, exit_words, isolated_environment
+from straightcomp_ros.cell.launcher import SLACK_S, Graph, LaunchError, exit_words, free_domain
 from straightcomp_ros.contract import COMMAND, ENCODER
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
@@ -114,9 +113,7 @@ def _of_no_machine(recorded: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _play(parameter_file: Path, logs: Path, duration: float) -> None:
-    here = os.environ.get("ROS_DOMAIN_ID", "0")
-    domain = random.SystemRandom().choice([str(number) for number in range(1, 102) if str(number) != here])
-    environment = {**isolated_environment(), "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment = {**os.environ, "ROS_DOMAIN_ID": free_domain(), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     with Graph(logs, environment, namespace=_NAMESPACE) as graph:
         for name in _PLAYED_TO:
             graph.start(name, {}, parameter_file)

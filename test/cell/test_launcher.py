@@ -1,6 +1,7 @@
 """Where the launcher finds the executables, and what becomes of the processes it starts."""
 
 import signal
+import socket
 import subprocess
 import sys
 
@@ -8,7 +9,7 @@ import psutil
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command, verb_command
+from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command, free_domain, verb_command
 
 
 def script(path):
@@ -108,3 +109,13 @@ def test_children_of_a_killed_launcher_do_not_run_on(tmp_path):
         child = int(launcher.stdout.readline())
         launcher.kill()
     assert comes_true(lambda: not psutil.pid_exists(child), 10.0)
+
+
+@pytest.mark.parametrize("participant", [0, 7])
+def test_a_domain_in_which_a_participant_listens_is_not_free(participant):
+    taken = 101
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("", 7400 + 250 * taken + 10 + 2 * participant))
+        with pytest.raises(LaunchError, match="101 is in use"):
+            free_domain([taken])
+        assert {free_domain([*range(92, 101), taken]) for _ in range(100)} <= set(map(str, range(92, 101)))

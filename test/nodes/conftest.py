@@ -1,11 +1,10 @@
 import os
-import random
 import signal
 
 import pytest
 from parameters_of_tests import short_parameters, without_priority
 
-from straightcomp_ros.cell.launcher import Graph, ros_available
+from straightcomp_ros.cell.launcher import Graph, free_domain, ros_available
 
 if not ros_available():
     pytest.skip("rclpy is not there: these tests need a sourced Jazzy or its wheels", allow_module_level=True)
@@ -18,7 +17,7 @@ def a_domain():
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     # The domains above are left to whoever measures in parallel with the tests.
-    return str(random.SystemRandom().choice(range(1 + worker, 92, workers)))
+    return free_domain(range(1 + worker, 92, workers))
 
 
 @pytest.fixture(autouse=True)

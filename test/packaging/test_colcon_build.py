@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from places import REPOSITORY
 
+from straightcomp_ros.cell.launcher import free_domain
+
 pytestmark = pytest.mark.nightly
 NODES = ("driver", "feedforward", "controller", "logger", "cell")
 NOT_SOURCES = (".*", "build", "install", "log", "demo_output", "__pycache__", "*.egg-info")
@@ -50,7 +52,7 @@ def environment(prefix):
     apart = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         # Other tests may run in parallel with these.
-        "ROS_DOMAIN_ID": str(os.getpid() % 101 + 1),
+        "ROS_DOMAIN_ID": free_domain(),
         "ROS_LOG_DIR": str(prefix.parent.parent / "log"),
     }
     return {**variables, **apart}
