@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from straightcomp_ros.model.compiled import Compiled
+from straightcomp_ros.model.compiled import Compiled, is_ours
 
 _FLAT_STEP = """\
 def run(k, s, answer, y, r, r_dot, r_ddot, current):
@@ -54,7 +54,8 @@ class Law:
         step: ``step(gains, state, y, r, r_dot, r_ddot, current)`` gives (next state, Command) for one sample: encoder
             reading y in m, reference r in m with its rate in m/s and acceleration in m/s², measured control
             current of the coils in A (not finite where none is measured).
-        compiled: whether the step is `compilable`; otherwise :meth:`step` calls the Python function.
+        compiled: whether the step, and what it calls, has the decorator ``compilable`` of
+            ``straightcomp_ros.model.compiled``; otherwise :meth:`step` calls the Python function.
         unrest: path of the number in a compiled law's state that says for how long the platform has not come to rest,
             such as ``.rest.restless``; an excitation keeps it at zero.
     """
@@ -70,7 +71,7 @@ class Law:
         self.gains, self.start, self.function = gains, start, step
         self._unrest = _place(start(0.0).__class__, unrest) if unrest else -1
         self._run: Callable[..., None] | None = self._first if compiled else None
-        self._gains = np.array(flat(gains))
+        self._gains = np.array(flat(gains) if compiled else [], np.float64)
         self._answer = np.zeros(len(Command._fields))
         self.reset(0.0)
 
@@ -92,7 +93,7 @@ class Law:
     def reset(self, y: float) -> None:
         """Restart at rest at ``y`` (m), with nothing integrated."""
         state = self.start(y)
-        self._state = state if self._run is None else np.array(flat(state))
+        self._state = state if self._run is None else np.array(flat(state), np.float64)
 
     def excited(self) -> None:
         """A test signal moves the platform: that it does not come to rest says nothing of its friction."""
@@ -117,7 +118,7 @@ class Law:
             before = _rebuilt(self.start(0.0), iter(state))
             after, command = self.function(self.gains, before, y, 0.0, 0.0, 0.0, current)
             return flat(after), command
-        numbers, answer = np.array(state), np.zeros(len(Command._fields))
+        numbers, answer = np.array(state, np.float64), np.zeros(len(Command._fields))
         self._run(self._gains, numbers, answer, y, 0.0, 0.0, 0.0, current)
         return numbers.tolist(), Command(*answer.tolist())
 
@@ -149,7 +150,7 @@ def _flat_step(step: Callable[..., Any], gains: type, state: type) -> Compiled:
     # numba caches by the source's file, and reads its text from the function's first line on: those of the law's step.
     source = "\n" * (step.__code__.co_firstlineno - 1) + source
     exec(compile(source, step.__code__.co_filename, "exec"), names)
-    return Compiled(names["run"])
+    return Compiled(names["run"], cached=is_ours(step))
 
 
 def _from_array(array: str, kind: type, places: Iterator[int], names: dict[str, Any]) -> str:

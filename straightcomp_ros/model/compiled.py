@@ -36,6 +36,12 @@ def compilable(function: F) -> F:
     return function
 
 
+def is_ours(function: Callable[..., Any]) -> bool:
+    """Whether the machine code of this function of a law may be cached: that of a user's own law would not follow a
+    change in what it calls, and to read the cache takes its module, which is not always there."""
+    return function.__module__.startswith(f"{__name__.partition('.')[0]}.")
+
+
 class Compiled:
     """``numba.njit`` with the machine code cached on disk; IEEE arithmetic, nothing reordered.
 

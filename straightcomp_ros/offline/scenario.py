@@ -24,7 +24,7 @@ from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.pairing import extrapolated
 from straightcomp_ros.hardware.simulated import SimulatedParameters
-from straightcomp_ros.model.compiled import Compiled, compiled
+from straightcomp_ros.model.compiled import Compiled, compiled, is_ours
 from straightcomp_ros.model.converters import nearest_count
 from straightcomp_ros.model.motion import Trajectory, forward_and_back
 from straightcomp_ros.model.plant import (
@@ -140,9 +140,7 @@ def kernel(step: Callable[..., Any]) -> Callable[..., int]:
             current[k] = answer.current
         return stamps.size
 
-    # To read the cache takes all modules of the laws in it, and that of a user's own law is not always there.
-    ours = step.__module__.startswith(f"{__name__.partition('.')[0]}.")
-    return Compiled(loop, cached=ours)
+    return Compiled(loop, cached=is_ours(step))
 
 
 MOST_SAMPLES = 20_000_000

@@ -4,13 +4,15 @@ import inspect
 import math
 import pickle
 import random
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from straightcomp_ros.control.excitation import Injection
-from straightcomp_ros.control.law import Law, flat
+from straightcomp_ros.control.law import Command, Law, flat
 from straightcomp_ros.control.laws import LAWS, ControlParameters, make_law, prepare_all
+from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.plant import advance
 from straightcomp_ros.stage.description import StageParameters
 
@@ -65,6 +67,24 @@ def test_whole_numbers_are_taken_for_what_they_are_and_compile_nothing_anew(name
     law.reset(0)
     assert repr(answer) == repr(law.step(0.0, 0.0, 0.0, 0.0, 0.0))
     assert len(law._run.signatures) == before == 1
+
+
+class Total(NamedTuple):
+    """A user's own gain, and state."""
+
+    value: float
+
+
+@pytest.mark.parametrize("factor", [1.0, 5.0])
+def test_each_of_a_users_own_laws_computes_what_its_step_says_with_whole_numbers_too(factor):
+    def step(gains, state, y, r, r_dot, r_ddot, current):
+        total = state.value + gains.value * factor * y
+        return Total(total), Command(total, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    for one in (Total(1), Total(1.0)):
+        law = Law(one, lambda y: Total(0), compilable(step), compiled=True)
+        assert [law.step(0.25, 0.0, 0.0, 0.0).current for _ in range(2)] == [0.25 * factor, 0.5 * factor]
+    assert law.answer_from([1], 0.25)[1].current == 1.0 + 0.25 * factor
 
 
 @pytest.mark.parametrize("name", LAWS)
