@@ -14,6 +14,7 @@ import re
 import typing
 from collections.abc import Iterable, Mapping
 from functools import cache, partial
+from numbers import Integral, Real
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -66,9 +67,10 @@ class Declaration:
         return " and ".join(bounds) or {float: "a finite number", int: "an integer", str: "a text"}[self.kind]
 
     def check(self, value: Any) -> Any:
-        """Return ``value`` as ``kind`` (an integer is accepted as a float), or raise ParameterError."""
-        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+        """Return ``value`` as ``kind`` (an integer is accepted as a float, NumPy's numbers too), or raise
+        ParameterError."""
+        if not isinstance(value, bool) and isinstance(value, _NUMBERS.get(self.kind, ())):
+            value = self.kind(value)
         why = self._wrong(value)
         if why:
             unit = f" {self.unit}" if self.unit else ""
@@ -91,6 +93,7 @@ class Declaration:
         return "is too large" if high is not None and value > high else ""
 
 
+_NUMBERS: Mapping[type, type] = {float: Real, int: Integral}
 _KIND_WORDS = {bool: "a truth value", int: "an integer", float: "a number", str: "a text"}
 _CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """No file is called so, and a terminal would obey it."""

@@ -5,6 +5,7 @@ from argparse import Namespace
 from dataclasses import dataclass, is_dataclass
 from typing import get_type_hints
 
+import numpy as np
 import pytest
 import yaml
 
@@ -77,6 +78,15 @@ def test_groups_are_addressed_with_a_dot_have_defaults_of_their_own_and_come_fro
 def test_a_refused_parameter_is_named_with_its_value_and_what_is_allowed(values, words):
     with pytest.raises(ParameterError, match=words):
         from_mapping(Outer, values)
+
+
+@pytest.mark.parametrize("one", [1, np.float32(1.0), np.float64(1.0), np.int64(1)])
+def test_numbers_of_numpy_are_numbers_and_are_written_as_such(one):
+    found = from_mapping(Outer, {"inner.gain": one, "count": np.uint8(4)})
+    assert (repr(found.inner.gain), repr(found.count)) == ("1.0", "4")
+    assert yaml.safe_load(as_parameter_file({"driver": {"override": one}}))["/**/driver"]["ros__parameters"] == {
+        "override": 1
+    }
 
 
 @pytest.mark.parametrize("node", NODE_PARAMETERS)
