@@ -72,7 +72,8 @@ def judged_motion(
     """What is judged of ``record``, whose platform was to follow ``reference``, made from the map ``straightness`` if
     that is known. ``parameters`` as in :func:`bounds_of`, ``stalls`` on the record's clock, ``latency`` as of
     :func:`late_commands`, ``sensor`` the readings (n,) in m of the guide's deviation by a displacement sensor at the
-    record's samples, up to a constant, NaN where it has none. MetricsError if the stage does not move."""
+    record's samples, up to a constant, NaN where it has none. MetricsError if the stage does not move, or a number
+    within the motion is not finite."""
 
     def promise() -> Promise | None:
         # Only here: it loads what simulates a stroke, which most runs do not need.
@@ -80,6 +81,7 @@ def judged_motion(
 
         return promise_of(record, parameters, straightness)
 
+    record.check_finite(record.columns(), record.motion.window)
     run = record.moving
     truth, seen, first, last = run.true_error(reference), run.r - run.y, run.time[0], run.time[-1]
     return JudgedMotion(
@@ -102,7 +104,7 @@ def judged_motion(
 
 def verdict_on(record: StrokeRecord, straightness: StraightnessMap, values: Values) -> Verdict:
     """The verdict on a simulated run of nodes with the parameters ``values``, whose reference was made from the map
-    ``straightness``. MetricsError if the stage does not move."""
+    ``straightness``. MetricsError as of :func:`judged_motion`."""
     return verdict_of(judged_motion(record, straightness, by_node(values), straightness))
 
 

@@ -15,6 +15,7 @@ from pytest import approx
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.metrics import evaluate, force_balance, residual_of_stroke, standstill_figures
 from straightcomp_ros.analysis.record import MetricsError, StrokeRecord
+from straightcomp_ros.analysis.run_verdict import verdict_on
 from straightcomp_ros.model.motion import MotionParameters, Trajectory, forward_and_back
 from straightcomp_ros.offline.simulation import Simulation
 
@@ -113,8 +114,10 @@ def test_what_is_not_finite_is_refused_with_its_first_place_and_how_many_there_a
     for value in (np.nan, np.inf):
         values = record.columns()[column].copy()
         values[[5000, 6000]] = value
-        with pytest.raises(MetricsError, match=rf"record: {column} is {value} at sample 5000 \(2.5 s\), one of 2"):
-            evaluate(dataclasses.replace(record, **{column: values}), cosine_map)
+        broken = dataclasses.replace(record, **{column: values})
+        for judge in (evaluate, lambda *run: verdict_on(*run, {})):
+            with pytest.raises(MetricsError, match=rf"record: {column} is {value} at sample 5000 \(2.5 s\), one of 2"):
+                judge(broken, cosine_map)
 
 
 REST, LEG = 0.25, 1.76 / 0.3 + 1.5
