@@ -169,22 +169,23 @@ def make_parser(
     for name, verb in found.items():
         if words is None or words:
             try:
-                _add_command(commands, name, _loaded(name, verb), words and words[1:])
+                _add_verb(commands, name, verb, words and words[1:])
                 continue
             except CommandFailed:
                 if words is not None:
                     raise
-        commands.add_parser(name, help=headlines[name][0].replace("%", "%%"))
+        if name not in commands.choices:
+            commands.add_parser(name, help=headlines[name][0].replace("%", "%%"))
     return parser
 
 
-def _loaded(name: str, verb: Verb) -> Any:
-    """The module of a verb."""
+def _add_verb(commands: Any, name: str, verb: Verb, words: Sequence[str] | None) -> None:
+    """As :func:`_add_command`, of the module of a verb."""
     packages = " and ".join(verb.packages)
     if len(verb.packages) > 1:
         raise CommandFailed(f"'{name}' is a verb of {packages}; remedy: uninstall all but one of them", exit_code=2)
     try:
-        return importlib.import_module(verb.module)
+        _add_command(commands, name, importlib.import_module(verb.module), words)
     except Exception as error:
         if missing := _missing(error, verb):
             raise CommandFailed(missing, exit_code=2) from error
@@ -197,7 +198,9 @@ def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | 
     """Add the parser of a verb or tool, a module or a :class:`Tool`, with those of its tools; where the first of
     ``words`` is one of them, the others with their summary only."""
     text = command.run if isinstance(command, Tool) else command
-    parser = commands.add_parser(name, help=command.SUMMARY, description=inspect.getdoc(text), formatter_class=_Help)
+    parser = commands.add_parser(
+        name, help=command.SUMMARY.replace("%", "%%"), description=inspect.getdoc(text), formatter_class=_Help
+    )
     if not hasattr(command, "TOOLS"):
         command.add_arguments(parser)
         parser.set_defaults(run=command.run)
@@ -207,7 +210,7 @@ def _add_command(commands: Any, name: str, command: Any, words: Sequence[str] | 
         if words is None or tool in words[:1]:
             _add_command(tools, tool, found, words and words[1:])
         else:
-            tools.add_parser(tool, help=found.SUMMARY)
+            tools.add_parser(tool, help=found.SUMMARY.replace("%", "%%"))
 
 
 class _Parser(argparse.ArgumentParser):

@@ -57,7 +57,7 @@ def _arguments(parser): parser.add_argument("--mass", type=float, default=3.0)
 def _platform(options):
     """Of the platform alone."""
     print(options.mass, options.verb, options.tool)
-TOOLS = {"platform": Tool("its mass", _arguments, _platform)}
+TOOLS = {"platform": Tool("100 % of its mass", _arguments, _platform)}
 '''
 
 
@@ -69,9 +69,12 @@ def test_another_package_adds_a_verb_by_an_entry_point(install, verb, summary):
     assert "weigh it" in printed[printed.index("set up:") : printed.index("tune:")]
     _, printed, _ = verb("weigh", "platform", "--help")
     assert "Of the platform alone." in printed and "--mass" in printed
+    assert "100 % of its mass" in verb("weigh", "--help")[1]
 
 
-@pytest.mark.parametrize("text", ["import nowhere_to_be_found", "SUMMARY =", 'SUMMARY = "100 %s"\n1 / 0'])
+@pytest.mark.parametrize(
+    "text", ["import nowhere_to_be_found", "SUMMARY =", 'SUMMARY = "100 %s"\n1 / 0', 'SUMMARY = "no arguments"']
+)
 def test_a_verb_that_cannot_be_loaded_leaves_the_others_alone(install, verb, text):
     install("scales", "weigh", text)
     code, printed, said = verb("--help")
