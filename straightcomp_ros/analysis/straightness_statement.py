@@ -39,6 +39,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.figure_words import with_digits
 from straightcomp_ros.analysis.metrics import LINES, about_lines
 from straightcomp_ros.analysis.record import Array, group_means, whole, whole_ways
+from straightcomp_ros.bags import WARNINGS
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, rms, zone_along
 from straightcomp_ros.straightness.survey_runs import cubic_spline
@@ -360,7 +361,7 @@ def _without(points: Array, errors: Array, x: Array, mean: Array) -> Array:
     from scipy.interpolate import UnivariateSpline
 
     distance = float(np.quantile(np.sum((errors[inside] / deviation[:, None]) ** 2, axis=0), _ALLOWED))
-    with warnings.catch_warnings():
+    with WARNINGS, warnings.catch_warnings():
         # Where errors are a billionth of the curve, the distance is not met exactly.
         warnings.simplefilter("ignore")
         spline = UnivariateSpline(points[inside], np.interp(points[inside], x, mean), 1.0 / deviation, s=distance)

@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from threading import RLock
 
 from straightcomp_ros.parameters.declaration import parameter
 
@@ -19,11 +20,15 @@ class NoBag(BagError):
     """What is named as a bag is none: there is no such file or folder, or it is something else."""
 
 
+WARNINGS = RLock()
+"""Whoever changes how warnings are shown holds it: Python has that once for all threads of a process."""
+
+
 @contextmanager
 def noting_warnings() -> Iterator[list[str]]:
     """Keep the readers' warnings of the block from the terminal; at its end the list has each different text once."""
     texts: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
+    with WARNINGS, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         yield texts
     for one in caught:

@@ -1,6 +1,9 @@
 """One number of every message of a topic, by name, whatever its type and whichever file it lies in."""
 
+import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -95,6 +98,23 @@ def test_warnings_for_the_user_are_kept_once_each_and_those_about_code_are_passe
             warnings.warn(text, stacklevel=1)
         warnings.warn("old", DeprecationWarning, stacklevel=1)
     assert texts == ["a", "b"]
+
+
+def test_each_of_several_threads_keeps_its_own_warnings_and_those_after_them_are_shown():
+    begun = Barrier(2, timeout=60.0)
+
+    def noted(text):
+        begun.wait()
+        with noting_warnings() as texts:
+            for _ in range(20):
+                warnings.warn(text, stacklevel=1)
+                time.sleep(1e-3)
+        return texts
+
+    with pytest.warns(UserWarning, match="after"):
+        with ThreadPoolExecutor(2) as threads:
+            assert list(threads.map(noted, "ab")) == [["a"], ["b"]]
+        warnings.warn("after", stacklevel=1)
 
 
 def test_a_topic_that_is_absent_or_without_messages_is_refused_by_its_name(tmp_path):
