@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
+from threading import RLock
 from typing import Any, TypeVar, cast
 
 from straightcomp_ros.parameters.share import private_folder
@@ -14,6 +15,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _FOLDERS = ("model", "control", "straightness", "hardware", "offline", "tuning")
 """Folders of this package with functions that may be compiled, here or deeper."""
+COMPILING = RLock()
+"""Whoever compiles holds it: several threads may ask at a time for the same machine code."""
 _marked: list[Callable[..., Any]] = []
 """Functions marked by :func:`compilable` that are not yet registered with numba."""
 
@@ -61,15 +64,16 @@ class Compiled:
         import numba
         from numba.extending import register_jitable
 
-        while _marked:
-            register_jitable(error_model="numpy")(_marked.pop())
-        settings: Any = numba.config  # numba makes its attributes from the environment
-        previous = settings.CACHE_DIR
-        settings.CACHE_DIR = str(cache_directory())
-        try:
-            return numba.njit(cache=self._cached, error_model="numpy", nogil=self._release_gil)(self._function)
-        finally:
-            settings.CACHE_DIR = previous
+        with COMPILING:
+            while _marked:
+                register_jitable(error_model="numpy")(_marked.pop())
+            settings: Any = numba.config  # numba makes its attributes from the environment
+            previous = settings.CACHE_DIR
+            settings.CACHE_DIR = str(cache_directory())
+            try:
+                return numba.njit(cache=self._cached, error_model="numpy", nogil=self._release_gil)(self._function)
+            finally:
+                settings.CACHE_DIR = previous
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code."""

@@ -4,6 +4,7 @@ import inspect
 import math
 import pickle
 import random
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -75,16 +76,27 @@ class Total(NamedTuple):
     value: float
 
 
-@pytest.mark.parametrize("factor", [1.0, 5.0])
-def test_each_of_a_users_own_laws_computes_what_its_step_says_with_whole_numbers_too(factor):
+def own_law(factor, gain):
+    """A law of a user that adds up its readings; it begins with a whole number."""
+
+    @compilable
     def step(gains, state, y, r, r_dot, r_ddot, current):
         total = state.value + gains.value * factor * y
         return Total(total), Command(total, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-    for one in (Total(1), Total(1.0)):
-        law = Law(one, lambda y: Total(0), compilable(step), compiled=True)
-        assert [law.step(0.25, 0.0, 0.0, 0.0).current for _ in range(2)] == [0.25 * factor, 0.5 * factor]
-    assert law.answer_from([1], 0.25)[1].current == 1.0 + 0.25 * factor
+    return [Law(Total(kind(gain)), lambda y: Total(0), step, compiled=True) for kind in (int, float)]
+
+
+@pytest.mark.parametrize("factor", [1.0, 5.0])
+def test_each_of_a_users_own_laws_computes_what_its_step_says_with_whole_numbers_too(factor):
+    for law in own_law(factor, 2):
+        assert [law.step(0.25, 0.0, 0.0, 0.0).current for _ in range(2)] == [0.5 * factor, 1.0 * factor]
+        assert law.answer_from([1], 0.25)[1].current == 1.0 + 0.5 * factor
+
+
+def test_several_threads_may_begin_with_a_law_at_a_time():
+    with ThreadPoolExecutor(2) as threads:
+        assert [*threads.map(lambda law: law.step(0.25, 0.0, 0.0, 0.0).current, own_law(3.0, 2))] == [1.5, 1.5]
 
 
 @pytest.mark.parametrize("name", LAWS)
