@@ -87,7 +87,8 @@ class Simulation:
             progress: called now and then with the fraction that is done.
             observe: called with each sample, its truth, its reference, the answer, and the age in s of the reference
                 that the answer was computed from.
-            paces: asked of the motion after the samples of these numbers; the run then ends with the motion.
+            paces: asked of the motion after the samples of these numbers; the run then ends with the motion, or where
+                it is held for good.
         """
         hardware, pairing = self._hardware, self._pairing
         step, reference_at = self._servo.step, self._feedforward.step
@@ -101,7 +102,11 @@ class Simulation:
             hardware.start(0)
         hardware.move(self._trajectory, begin_ns + self._start_ns)
         index = -1
-        while (index := index + 1) < count or (paces and hardware.motion.lasts(period_ns)):
+        # Held after its last pace, a motion lasts for ever.
+        last = max(paces, default=-1)
+        while (index := index + 1) < count or (
+            paces and hardware.motion.lasts(period_ns) and (index <= last or hardware.motion.condition != "held")
+        ):
             sample, truth = hardware.read(begin_ns + index * period_ns)[-1]
             reference = reference_at(sample.stamp_ns, sample.x)
             pairing.add_reference(sample.stamp_ns, reference)
@@ -122,7 +127,7 @@ class Simulation:
         progress(1.0)
         count = index
         self._begin_ns += count * period_ns
-        columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(count, -1).T.copy(), strict=True))
+        columns = dict(zip(_COLUMNS, np.frombuffer(rows).reshape(-1, len(_COLUMNS)).T.copy(), strict=True))
         return StrokeRecord(time=np.arange(count) * (period_ns * 1e-9), law=self.law, **columns)
 
     def inject(self, injection: Injection) -> None:

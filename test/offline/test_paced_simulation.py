@@ -26,6 +26,14 @@ def test_a_held_and_overridden_stroke_ends_where_it_would_and_its_error_is_that_
     assert np.ptp(records[1].true_x[2900:3000]) < 1e-9 and np.ptp(records[1].true_y[2900:3000]) < 0.2e-6
 
 
+@pytest.mark.parametrize("pace", [Pace(hold=True), Pace(0.0)])
+@pytest.mark.parametrize("number", [2500, 10_000])
+def test_a_run_whose_motion_is_held_for_good_ends_where_it_stands(number, pace):
+    held = simulation().run(paces={2000: Pace(0.1), number: pace})
+    assert number < held.time.size < number + 6000
+    assert 0.51 < held.true_x[-1] < 0.59 and np.ptp(held.true_x[-5:]) < 1e-7
+
+
 def test_nothing_is_learned_from_a_motion_that_was_cut_short_and_the_next_one_is_learned_from():
     learned = simulation(**{"learning.learn": True})
     tables = learned._learning.tables
