@@ -6,7 +6,7 @@
 
 Columns: the gains that are shipped, the closed form, the design, its worst of 200 uncertain machines, and the gains
 with the least error that any search or design found, which are kept in test/stages/found_gains.json. Figures are
-medians of five starts; with --delays of nine, with the range of p-p and the margins of the designed loop.
+medians of nine starts; with --delays with the range of p-p and the margins of the designed loop.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from scripts.stage_files import STAGES, stage_names, stage_scenario
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import loop_margins
 from straightcomp_ros.offline.scenario import Scenario
-from straightcomp_ros.offline.starts import Spread, spread
+from straightcomp_ros.offline.starts import STARTS, Spread, spread
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.tuning.design.automatic_design import Design, design_gains
 from straightcomp_ros.tuning.design.feasible_gains import DesignError
@@ -39,7 +39,7 @@ SEEDS = (11, 12)
 
 
 class Figures(NamedTuple):
-    """p-p of the true error in m, and work of the coils in A: medians of five starts."""
+    """p-p of the true error in m, and work of the coils in A: medians of nine starts."""
 
     pp: float
     work: float
@@ -76,17 +76,17 @@ def search_long(name: str, evaluations: int) -> None:
     print(name, best_found(name, scenario, best.gains), flush=True)
 
 
-def over_starts(scenario: Scenario, law: str, gains: Mapping[str, float], count: int) -> tuple[Spread, Spread]:
-    """p-p in m and work of the coils in A that ``gains`` of ``law`` leave on the stage as described."""
+def over_starts(scenario: Scenario, law: str, gains: Mapping[str, float]) -> tuple[Spread, Spread]:
+    """p-p in m and work of the coils in A that ``gains`` leave on the stage as described, over the starts."""
     stage, stroke = scenario.description, prepared_stroke(scenario)
     made = make_law(with_gains(next(iter(scenario.controls.values())), law, gains), stage)
-    runs = [stroke.run(made, stage.drive.delay * stage.period, start) for start in range(count)]
+    runs = [stroke.run(made, stage.delay, start) for start in range(STARTS)]
     return spread(run.pp for run in runs), spread(run.work for run in runs)
 
 
 def figures_of(scenario: Scenario, gains: Mapping[str, float], law: str = LAW) -> Figures:
     """Figures of ``gains`` on the stage as described."""
-    return Figures(*(one.median for one in over_starts(scenario, law, gains, 5)))
+    return Figures(*(one.median for one in over_starts(scenario, law, gains)))
 
 
 def row_of_delay(name: str, delay: float, quiet: float, law: str, evaluations: int, machines: int) -> str:
@@ -95,7 +95,7 @@ def row_of_delay(name: str, delay: float, quiet: float, law: str, evaluations: i
     stage, control = scenario.description, scenario.controls[law]
 
     def figures(gains: Mapping[str, float]) -> str:
-        pp, work = over_starts(scenario, law, gains, 9)
+        pp, work = over_starts(scenario, law, gains)
         return f"{pp.scaled(1e6).text(3)} / {work.median * 1e3:.2f}"
 
     ours, head = f"| `{name}` | {delay:g}", figures(closed_form(scenario, law))

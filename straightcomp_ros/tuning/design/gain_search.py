@@ -3,10 +3,11 @@ CMA-ES, in logarithms, with the same result for the same seed on one machine.
 
     cost = accuracy + quiet · 2 ln(1 + work / scale) + penalties
 
-accuracy is the mean of ln p-p over some starts of the stage as described, with a share of ln RMS, which moves less from
-start to start, and a share of ln p-p on the extreme machines. work is the RMS step of the current from sample to
-sample; its scale is the current that carries Coulomb friction, F_C / K̄_i, which the stage needs in any case, and at
-least four steps of the D/A converter, which a count asks for on a stage without friction.
+accuracy is ln of the mean p-p over some starts of the stage as described, with a share of ln of the mean RMS, which
+moves less from start to start, and a share of the mean of ln p-p on the extreme machines. work is the RMS step of the
+current from sample to sample; its scale is the current that the stage needs in any case, which carries Coulomb
+friction, F_C / K̄_i, or without friction the platform along the map, and at least four steps of the D/A converter, for
+which a count asks.
 
 What of a stroke does not depend on the gains is computed once; then each run takes a tenth of a second.
 
