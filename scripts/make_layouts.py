@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from xml.etree.ElementTree import SubElement
 
 from straightcomp_ros.contract import (
     COMMAND,
@@ -30,7 +31,7 @@ from straightcomp_ros.contract import (
 )
 from straightcomp_ros.parameters.output_files import write_whole
 
-# Okabe and Ito's palette: told apart with any colour vision.
+# Okabe and Ito's palette: distinct with any colour vision.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
 _RUN_S = 17.0
 """Length of a run in s, for the first look; both programs zoom out to the data by themselves."""
@@ -98,33 +99,9 @@ def foxglove() -> dict[str, Any]:
     panels: dict[str, Any] = {}
     tabs = []
     for tab, plots in TABS.items():
-        names = []
-        for place, plot in enumerate(plots):
-            name = f"Plot!{tab.lower()}{place}"
-            names.append(name)
-            panels[name] = {
-                "foxglovePanelTitle": plot.title,
-                "paths": [
-                    {
-                        "value": _message_path(number),
-                        "label": number[1],
-                        "color": colour,
-                        "enabled": True,
-                        "timestampMethod": "headerStamp",
-                    }
-                    for number, colour in zip(plot.numbers, _COLOURS, strict=False)
-                ],
-                "xAxisVal": "custom" if plot.over else "timestamp",
-                **({"xAxisPath": {"value": _message_path(plot.over), "enabled": True}} if plot.over else {}),
-                "showLegend": True,
-                "legendDisplay": "floating",
-                "showPlotValuesInLegend": False,
-                "showXAxisLabels": True,
-                "showYAxisLabels": True,
-                "isSynced": plot.over is None,
-                "sidebarDimension": 240,
-            }
-        tabs.append({"title": tab, "layout": _column(names)})
+        own = {f"Plot!{tab.lower()}{place}": _panel(plot) for place, plot in enumerate(plots)}
+        panels |= own
+        tabs.append({"title": tab, "layout": _column(list(own))})
     summary = "DiagnosticSummary!nodes"
     panels[summary] = {
         "topicToRender": DIAGNOSTICS,
@@ -144,9 +121,31 @@ def foxglove() -> dict[str, Any]:
     }
 
 
+def _panel(plot: Plot) -> dict[str, Any]:
+    curve = {"enabled": True, "timestampMethod": "headerStamp"}
+    return {
+        "foxglovePanelTitle": plot.title,
+        "paths": [
+            {"value": _message_path(number), "label": number[1], "color": colour, **curve}
+            for number, colour in zip(plot.numbers, _COLOURS, strict=False)
+        ],
+        "xAxisVal": "custom" if plot.over else "timestamp",
+        **({"xAxisPath": {"value": _message_path(plot.over), "enabled": True}} if plot.over else {}),
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": False,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "isSynced": plot.over is None,
+        "sidebarDimension": 240,
+    }
+
+
 def _message_path(number: Number) -> str:
     stream, column = number
-    array, place = _place(stream, column)
+    index = stream.layout.columns.index(column)
+    array = stream.layout.places[index][0]
+    place = sum(other == array for other, _ in stream.layout.places[:index])
     points = ".points[0]" if stream is REFERENCE else ""
     return f"/{stream.topic}{points}.{array}[{place}]"
 
@@ -162,39 +161,29 @@ def _column(names: Sequence[str]) -> Any:
 def plotjuggler() -> ElementTree.Element:
     """The layout as PlotJuggler 3 saves and loads it."""
     root = ElementTree.Element("root")
-    main = ElementTree.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    main = SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
     for tab, plots in TABS.items():
-        element = ElementTree.SubElement(main, "Tab", tab_name=tab, containers="1")
-        container = ElementTree.SubElement(element, "Container")
+        container = SubElement(SubElement(main, "Tab", tab_name=tab, containers="1"), "Container")
         sizes = ";".join([f"{1.0 / len(plots):.6f}"] * len(plots))
-        splitter = ElementTree.SubElement(
-            container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=sizes
-        )
+        splitter = SubElement(container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=sizes)
         for plot in plots:
-            _add_plot(ElementTree.SubElement(splitter, "DockArea", name=plot.title), plot)
-    ElementTree.SubElement(main, "currentTabIndex", index="0")
-    ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
-    ElementTree.SubElement(root, "Plugins")
-    ElementTree.SubElement(root, "customMathEquations")
-    ElementTree.SubElement(root, "snippets")
+            _add_plot(SubElement(splitter, "DockArea", name=plot.title), plot)
+    SubElement(main, "currentTabIndex", index="0")
+    SubElement(root, "use_relative_time_offset", enabled="1")
+    for empty in ("Plugins", "customMathEquations", "snippets"):
+        SubElement(root, empty)
     return root
 
 
 def _add_plot(area: ElementTree.Element, plot: Plot) -> None:
-    mode = "XYPlot" if plot.over else "TimeSeries"
-    element = ElementTree.SubElement(area, "plot", mode=mode, style="Lines", flip_x="false", flip_y="false")
-    right = 1.8 if plot.over else _RUN_S
-    ElementTree.SubElement(element, "range", left="0", right=f"{right:g}", bottom=f"{plot.low:g}", top=f"{plot.high:g}")
-    ElementTree.SubElement(element, "limitY")
+    mode, right = ("XYPlot", 1.8) if plot.over else ("TimeSeries", _RUN_S)
+    element = SubElement(area, "plot", mode=mode, style="Lines", flip_x="false", flip_y="false")
+    SubElement(element, "range", left="0", right=f"{right:g}", bottom=f"{plot.low:g}", top=f"{plot.high:g}")
+    SubElement(element, "limitY")
     for number, colour in zip(plot.numbers, _COLOURS, strict=False):
         series = _series(number)
-        if plot.over:
-            name = f"{series} over x"
-            ElementTree.SubElement(
-                element, "curve", name=name, color=colour, curve_x=_series(plot.over), curve_y=series
-            )
-        else:
-            ElementTree.SubElement(element, "curve", name=series, color=colour)
+        curves = {"curve_x": _series(plot.over), "curve_y": series} if plot.over else {}
+        SubElement(element, "curve", name=f"{series} over x" if plot.over else series, color=colour, **curves)
 
 
 def _series(number: Number) -> str:
@@ -203,13 +192,6 @@ def _series(number: Number) -> str:
     if stream is REFERENCE:
         return f"/{stream.topic}/points[0]/{array}[0]"
     return f"/{stream.topic}/{joint}/{array}"
-
-
-def _place(stream: Stream, column: str) -> tuple[str, int]:
-    """The array that holds a column, and where in it."""
-    index = stream.layout.columns.index(column)
-    array = stream.layout.places[index][0]
-    return array, sum(other == array for other, _ in stream.layout.places[:index])
 
 
 def make(directory: Path) -> None:
