@@ -94,21 +94,14 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
     for stated in statements(evaluation):
         name = f"{stated.when}_{stated.line}_U_um"
         uncertainties.setdefault(stated.direction, {})[name] = _known(stated.expanded_uncertainty * 1e6)
-    after: list[dict[str, Any]] = [
-        {name: None if value is None else _known(value) for name, value in one.to_display().items()}
-        for one in standstill_figures(record, record.reference)
-    ]
-    return [
-        StrokeRow(
-            **facts,
-            stroke=number,
-            start=_EPOCH + zero * (one[1][0] < _SIMULATED_NS) + timedelta(microseconds=one[1][0] // 1000),
-            **_columns(evaluation, *one),
-            **uncertainties.get(one[0].direction, {}),
-            **after[number - 1],
-        )
-        for number, one in enumerate(zip(strokes, times, until, strict=True), 1)
-    ]
+    after = standstill_figures(record, record.reference)
+    rows = []
+    for stroke, (begin, end), until_ns, rest in zip(strokes, times, until, after, strict=True):
+        columns = _columns(evaluation, stroke, (begin, end), until_ns) | uncertainties.get(stroke.direction, {})
+        columns |= {name: _known(value) for name, value in rest.to_display().items()}
+        start = _EPOCH + zero * (begin < _SIMULATED_NS) + timedelta(microseconds=begin // 1000)
+        rows.append(StrokeRow(**facts, **columns, stroke=len(rows) + 1, start=start))
+    return rows
 
 
 def _columns(evaluation: BagEvaluation, stroke: Stroke, times: tuple[int, int], until_ns: int) -> dict[str, Any]:
@@ -214,5 +207,5 @@ def recorded_name(bag: Path) -> str:
     return split_number(found_files(bag)[0][0])[0]
 
 
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else value
+def _known(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else value
