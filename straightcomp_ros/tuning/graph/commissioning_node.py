@@ -12,7 +12,7 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.task import Future
@@ -39,6 +39,15 @@ _INTERRUPTED = (128 + signal.SIGTERM, -signal.SIGTERM)
 """Exit codes of a verb that was terminated: after it has released the machine, or before it had one."""
 
 
+class _Work(NamedTuple):
+    """What is going on: its name, its process, and the files of the process's standard output and error."""
+
+    doing: str
+    process: subprocess.Popen[bytes]
+    printed: IO[bytes]
+    log: IO[str]
+
+
 class CommissioningNode(Runnable):
     """Provides ``~/run`` and ``~/stop``, ``~/measure_response``, and each step of commissioning by its name."""
 
@@ -49,11 +58,8 @@ class CommissioningNode(Runnable):
             raise ParameterError("parameter 'output' is empty; allowed: a folder for the record and the bags")
         self._folder = Path(parameters.output).resolve()
         self._folder.mkdir(parents=True, exist_ok=True)
-        self._process: subprocess.Popen[bytes] | None = None
-        self._printed: IO[bytes] | None = None
-        self._log: IO[str] | None = None
-        self._doing, self._answers = "", 0
-        self._amplifier = ""
+        self._work: _Work | None = None
+        self._answers, self._amplifier = 0, ""
         node.create_subscription(DiagnosticStatus, SAFETY_STATE, self._on_safety_state, LATCHED)
         self._publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_STATE, LATCHED)
         node.offer(Trigger, "~/run", self._on_run)
@@ -62,7 +68,7 @@ class CommissioningNode(Runnable):
         for step in STEP_NAMES:
             node.offer(Trigger, f"~/{step}", partial(self._on_step, step))
         node.create_timer(_LOOK_S, self._look)
-        Diagnostics(node, lambda: {SAMPLES: self._answers, "doing": self._doing})
+        Diagnostics(node, lambda: {SAMPLES: self._answers, "doing": self._work.doing if self._work else ""})
         self._report("", True, "ready")
 
     def _on_run(self) -> str:
@@ -79,10 +85,10 @@ class CommissioningNode(Runnable):
 
     def _on_stop(self) -> str:
         """End what is going on; an amplifier that it switched on goes off."""
-        if self._process is None:
+        if self._work is None:
             raise Refused("nothing is going on")
-        self._process.terminate()
-        return f"stops {self._doing}"
+        self._work.process.terminate()
+        return f"stops {self._work.doing}"
 
     def _of_commission(self) -> dict[str, Any]:
         chosen = self._parameters
@@ -90,48 +96,46 @@ class CommissioningNode(Runnable):
         return {"output": self._folder, **numbers}
 
     def _begin(self, doing: str, verb: str, *words: str, **options: object) -> str:
-        if self._process is not None:
-            raise Refused(f"{self._doing} is going on; ~/stop ends it")
+        if self._work is not None:
+            raise Refused(f"{self._work.doing} is going on; ~/stop ends it")
         if namespace := self.node.get_namespace().strip("/"):
             options["namespace"] = namespace
         given = [f"--{name}={value}" for name, value in options.items()]
         try:
             # Both are read at the end, wherever the output folder is then.
-            self._printed = tempfile.TemporaryFile()  # noqa: SIM115
-            self._log = (self._folder / "commissioning.log").open("w+", errors="replace")
-            self._process = subprocess.Popen(
+            printed = tempfile.TemporaryFile()  # noqa: SIM115
+            log = (self._folder / "commissioning.log").open("w+", errors="replace")
+            process = subprocess.Popen(
                 verb_command(verb, "--graph=running", "--json", *words, *given),
                 stdin=subprocess.DEVNULL,
-                stdout=self._printed,
-                stderr=self._log,
+                stdout=printed,
+                stderr=log,
                 # An interrupt from the terminal is for this node, which then ends the verb.
                 start_new_session=True,
             )
         except OSError as error:
             raise Refused(f"{doing} cannot begin: {error}") from error
-        self._doing = doing
+        self._work = _Work(doing, process, printed, log)
         self._report(doing, True, "is going on", running=True)
         return f"begins {doing}"
 
     def _look(self) -> None:
-        if self._process is None or self._process.poll() is None:
+        work = self._work
+        if work is None or work.process.poll() is None:
             return
-        doing, code = self._doing, self._process.returncode
-        self._process, self._doing = None, ""
+        self._work = None
         self._answers += 1
-        self._report(doing, *self._result(code))
+        self._report(work.doing, *self._result(work))
 
-    def _result(self, code: int) -> tuple[bool, str]:
-        """Whether the work that ended with this exit code went well, and a sentence about it."""
-        found: dict[str, Any] = {}
-        lines: list[str] = []
-        if self._printed is not None and self._log is not None:
-            with self._printed as printed, self._log as log:
-                printed.seek(0)
-                log.seek(0)
-                lines = log.read().splitlines()
-                with contextlib.suppress(ValueError):
-                    found = json.load(printed)
+    def _result(self, work: _Work) -> tuple[bool, str]:
+        """Whether the work, which has ended, went well, and a sentence about it."""
+        found, code = dict[str, Any](), work.process.returncode
+        with work.printed as printed, work.log as log:
+            printed.seek(0)
+            log.seek(0)
+            lines = log.read().splitlines()
+            with contextlib.suppress(ValueError):
+                found = json.load(printed)
         if code in _INTERRUPTED:
             # It may have ended before it had the machine: then the amplifier is as another client left it.
             return False, f"interrupted{self._amplifier}"
@@ -162,14 +166,15 @@ class CommissioningNode(Runnable):
 
     def close(self) -> None:
         """End what is going on; an amplifier that it switched on goes off."""
-        if self._process is None:
+        if self._work is None:
             return
-        self._process.terminate()
+        process = self._work.process
+        process.terminate()
         try:
-            self._process.wait(_STOP_WITHIN_S)
+            process.wait(_STOP_WITHIN_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            process.kill()
+            process.wait()
 
 
 main = partial(run, "commissioning", CommissioningNode)
