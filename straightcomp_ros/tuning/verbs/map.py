@@ -1,7 +1,7 @@
 """Work on the map of the guide: import surveys of instruments and controllers, export the map."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -31,7 +31,7 @@ from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
 from straightcomp_ros.straightness.residual import rms
-from straightcomp_ros.straightness.survey import Survey, check_run, read_survey, write_survey
+from straightcomp_ros.straightness.survey import Run, Survey, check_run, read_survey, write_survey
 from straightcomp_ros.straightness.survey_table import MARK, WAYS, SurveyError
 from straightcomp_ros.tuning.survey.alignment import align
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, sampled
@@ -175,7 +175,6 @@ def _built(options: argparse.Namespace, guide: MapParameters) -> tuple[BuiltMap,
 
 def _read(source: Path, options: argparse.Namespace, guide: MapParameters) -> Series | Survey:
     """What a bag or a CSV file has recorded over time, or the survey in a file as ``guide`` demands it."""
-
     if not source.exists():
         raise CommandFailed(f"survey {source} does not exist; give a bag or a CSV file", exit_code=2)
     bag = source.is_dir() or STORED.fullmatch(source.name)
@@ -193,8 +192,8 @@ def _read(source: Path, options: argparse.Namespace, guide: MapParameters) -> Se
             raise CommandFailed(f"--position or --sensor: {error}", exit_code=2) from error
         unit, on_platform = options.unit or Sensor.unit, bool(options.on_platform)
         return series_of_bag(source, stage, Sensor(readings, unit, options.invert, delay * 1e-3, on_platform))
-    own = {quantity: getattr(options, f"{quantity}_column", None) for quantity in ("x", "deviation")}
-    names = {quantity: name for quantity, name in own.items() if name is not None}
+    own = ((quantity, getattr(options, f"{quantity}_column", None)) for quantity in ("x", "deviation"))
+    names = {quantity: name for quantity, name in own if name is not None}
     read = series_of_csv(source, names) or _survey(source, guide, names)
     if not options.invert:
         return read
@@ -242,7 +241,7 @@ def _in_json(built: BuiltMap, passages: Sequence[Passage]) -> dict[str, Any]:
 def _convert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="what the instrument or the controller has written")
     parser.add_argument("--output", "-o", required=True, metavar="FILE", help="survey to write (CSV)")
-    _add_table_options(parser)
+    _add_table_options(parser, FORMATS)
     add_force(parser)
     add_json(parser)
 
@@ -252,7 +251,6 @@ def _convert(options: argparse.Namespace) -> None:
 
     The signs differ from maker to maker: after a conversion, compare one point with the instrument's own display, and
     use --negate if it has the other sign."""
-
     conventions = _chosen_conventions(options)
     source, output = Path(options.file), output_file(options, "--output")
     survey = FORMATS[format_of(source, options.format)].read(source, conventions)
@@ -280,10 +278,8 @@ def _convert(options: argparse.Namespace) -> None:
         print_written(output, then=f"straightcomp map build {quote(str(output))} -o map.csv")
 
 
-def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False) -> None:
-    """Declare the options of all tools that read error tables of controllers, or those that have them ``written``."""
-
-    formats = tuple(WRITTEN if written else FORMATS)
+def _add_table_options(parser: argparse.ArgumentParser, formats: Collection[str]) -> None:
+    """Declare the options of a tool that reads or writes files of these ``formats``."""
     add = parser.add_argument
     endings = ", ".join(f"{FORMATS[name].ending} {name}" for name in formats)
     add("--format", choices=formats, help=f"format (default: by the file's ending: {endings})")
@@ -299,7 +295,6 @@ def _add_table_options(parser: argparse.ArgumentParser, *, written: bool = False
 
 def _chosen_conventions(options: argparse.Namespace) -> Conventions:
     """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
-
     for axis in ("stage", "platform"):
         check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
     if options.stage_axis == options.platform_axis:
@@ -308,12 +303,11 @@ def _chosen_conventions(options: argparse.Namespace) -> Conventions:
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
-
     add = parser.add_argument
     add("--output", "-o", required=True, metavar="FILE", help="error table to write")
     add("--survey", metavar="CSV", help=f"survey of the map (default: the stage's, or {MapParameters.file})")
     add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
-    _add_table_options(parser, written=True)
+    _add_table_options(parser, WRITTEN)
     add_guide_option(parser)
     add_force(parser)
     add_json(parser)
@@ -385,7 +379,6 @@ def _reverse(options: argparse.Namespace) -> None:
     Turned over, the readings of the second survey keep the sensor's own sign: guide = (m1 − m2) / 2, edge =
     (m1 + m2) / 2. If its deviations have the sign of the machine's axis, turn it over before, with `map convert
     --negate` or `map build --invert`."""
-
     output, edge, shift = output_file(options, "--output"), output_file(options, "--edge"), options.shift
     if shift is not None:
         check_range("--shift", abs(shift), 0.01, 10_000.0, "mm")
@@ -437,20 +430,9 @@ def _align_arguments(parser: argparse.ArgumentParser) -> None:
     _add_sensor(parser)
 
 
-def _align(options: argparse.Namespace) -> None:
-    """Find zero and scale of a survey's x, its sign and its tilt, from a few strokes over the same guide with a
-    displacement sensor, and write a corrected survey if asked to.
-
-    The strokes cover most of the survey, best in both directions. A sensor that rides on the platform needs
-    --on-platform, which takes the platform's own y off."""
-
-    for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0)):
-        check_range(f"--{name}", getattr(options, name), low, high)
-    output, noted = output_file(options, "--output"), _noted(options)
-    # What is not aligned yet may reach farther than the platform.
-    guide = replace(chosen_guide(options), travel=MAP.travel)
-    survey = _survey(options.survey, guide)
-    straightness, strokes = StraightnessMap(survey, guide), []
+def _strokes(options: argparse.Namespace, guide: MapParameters) -> list[Run]:
+    """The strokes of all sources that agree with the others of theirs."""
+    strokes: list[Run] = []
     for source in map(Path, options.sources):
         read = _read(source, options, guide)
         if isinstance(read, Series):
@@ -460,6 +442,22 @@ def _align(options: argparse.Namespace) -> None:
         strokes += kept
         for name in rejected:
             notes.print(f"{source}: run {name} {_REJECTED}")
+    return strokes
+
+
+def _align(options: argparse.Namespace) -> None:
+    """Find zero and scale of a survey's x, its sign and its tilt, from a few strokes over the same guide with a
+    displacement sensor, and write a corrected survey if asked to.
+
+    The strokes cover most of the survey, best in both directions. A sensor that rides on the platform needs
+    --on-platform, which takes the platform's own y off."""
+    for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0)):
+        check_range(f"--{name}", getattr(options, name), low, high)
+    output, noted = output_file(options, "--output"), _noted(options)
+    # What is not aligned yet may reach farther than the platform.
+    guide = replace(chosen_guide(options), travel=MAP.travel)
+    survey = _survey(options.survey, guide)
+    straightness, strokes = StraightnessMap(survey, guide), _strokes(options, guide)
     if options.residual:
         strokes = [
             replace(run, deviation=run.deviation + straightness.deviations(run.x, run.direction)) for run in strokes
@@ -468,18 +466,16 @@ def _align(options: argparse.Namespace) -> None:
         found = align(straightness, strokes, options.reach * 1e-3)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error
-    units = {"shift": ("mm", 1e3), "scale": ("1e-6", 1e6), "gain": ("", 1.0), "tilt": ("um_per_m", 1e6)}
     figures: dict[str, Any] = {"strokes": len(strokes), "told": found.found, "sign": found.sign}
-    for name, (unit, factor) in {**units, "lag": ("mm", 1e3)}.items():
-        one = getattr(found, name)
-        column = f"{name}_{unit}".rstrip("_")
-        figures[column] = one and one.value * factor
-        figures[f"{column}_95"] = one and one.half_width * factor
-    figures |= {"middle_mm": found.middle * 1e3}
+    units = {"shift_mm": 1e3, "scale_1e-6": 1e6, "gain": 1.0, "tilt_um_per_m": 1e6, "lag_mm": 1e3}
+    for column, factor in units.items():
+        one = getattr(found, column.partition("_")[0])
+        figures |= {column: one and one.value * factor, f"{column}_95": one and one.half_width * factor}
+    figures["middle_mm"] = found.middle * 1e3
     figures |= {"unexplained_before_rms_um": found.before * 1e6, "unexplained_after_rms_um": found.after * 1e6}
-    told = found.found and (found.differs or (options.tilt and found.tilt.seen))
+    differs = found.found and (found.differs or (options.tilt and found.tilt.seen))
     facts = dict(survey.facts)
-    if told:
+    if differs:
         taken = f"shift {found.shift.value * 1e3:.4g} mm, scale {found.scale.value:.3g}, sign {found.sign}"
         by = f"straightcomp map align, from {', '.join(Path(source).name for source in options.sources)}: {taken}"
         facts = {name: text for name, text in facts.items() if name != MARK} | {"aligned by": by}
@@ -504,11 +500,11 @@ def _align(options: argparse.Namespace) -> None:
         raise CommandFailed("the guide is too flat for this sensor: its strokes tell neither zero nor sign")
     if options.json:
         return
-    if not told:
+    if not differs:
         notes.print("the survey fits: no difference exceeds its 95 % interval; nothing to correct")
     if output is not None:
         print_written(output, then=f"straightcomp map build {quote(str(output))}, and name it in stage.guide.file")
-    elif told:
+    elif differs:
         notes.print("nothing is written: -o FILE writes the survey with what exceeds its 95 % interval corrected")
 
 
