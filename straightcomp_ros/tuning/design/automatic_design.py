@@ -18,6 +18,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 from straightcomp_ros.control.laws import make_law
@@ -186,22 +187,18 @@ def design_gains(
         # The first candidates take as long as many later ones: what goes on now is the search.
         progress("search", 0.0)
         judge, budget, found = Judge(scenario, law, quiet, held), evaluations // min(rounds, 2), list[Judged]()
+        searched = partial(
+            search, judge, seed=seed + rounds - 1, jobs=jobs, progress=lambda fraction: progress("search", fraction)
+        )
         ways = [[*starts(law, begins[name]), *more, tighter] for name, tighter in near.items()]
-        while ways:
-            share = budget // len(ways) if len(ways) == 1 else budget // (2 * len(ways))
+        if len(ways) > 1:
+            # Half of the candidates show which way is the best; the others go on from there.
             for one_way in ways:
-                found += search(
-                    judge,
-                    feasible.corrected(one_way),
-                    evaluations=share,
-                    seed=seed + rounds - 1,
-                    jobs=jobs,
-                    progress=lambda fraction: progress("search", fraction),
-                )
-            found.sort(key=lambda one: one.cost)
-            # Half of the candidates tell which way is the best; the others go on from there.
-            ways = [] if len(ways) == 1 else [[begins[way(found[0].gains)], dict(found[0].gains)]]
-            budget //= 2
+                found += searched(feasible.corrected(one_way), evaluations=budget // (2 * len(ways)))
+            best_so_far = min(found, key=lambda one: one.cost).gains
+            ways, budget = [[begins[way(best_so_far)], dict(best_so_far)]], budget // 2
+        found += searched(feasible.corrected(ways[0]), evaluations=budget)
+        found.sort(key=lambda one: one.cost)
         first = [one for one in found if any(one.gains == begins[name] for name in near)]
         finalists = [one for one in (*found[:_FINALISTS], *first) if math.isfinite(one.pp)]
         best = min(finalists, key=cost, default=found[0]).gains
