@@ -29,7 +29,10 @@ from straightcomp_ros.tuning.design.gains import closed_form, starts, with_gains
 
 FOUND = STAGES / "found_gains.json"
 LAW = "smc_observer"
-COUNTS = ("not in order", "rounds")
+HEADS = (
+    *("stage", "shipped gains", "closed form", "design", "p50 / p95 / worst", "not in order", "rounds", "found"),
+    "CPU / wall s",
+)
 DELAY_HEADS = (
     *("stage", "delay [samples]", "closed form: p-p [µm] / step [mA]", "designed"),
     *("gain", "phase [°]", "longest delay [samples]", "not in order"),
@@ -153,17 +156,12 @@ def main(arguments: list[str] | None = None) -> int:
             search_long(name, options.evaluations)
         return 0
     made = (options.quiet, options.law, options.evaluations, options.machines)
+    heads, lines = HEADS, (row(name, *made) for name in names)
     if options.delays:
-        print(f"| {' | '.join(DELAY_HEADS)} |\n{'|---' * len(DELAY_HEADS)}|")
-        for name in names:
-            for delay in options.delays:
-                print(row_of_delay(name, delay, *made), flush=True)
-        return 0
-    heads = ("stage", "shipped gains", "closed form", "design", "p50 / p95 / worst", *COUNTS, "found", "CPU / wall s")
-    print(f"| {' | '.join(heads)} |")
-    print("|---" * len(heads) + "|")
-    for name in names:
-        print(row(name, *made), flush=True)
+        heads, lines = DELAY_HEADS, (row_of_delay(name, delay, *made) for name in names for delay in options.delays)
+    print(f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
+    for line in lines:
+        print(line, flush=True)
     return 0
 
 
