@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.pictures import label, legend_above, plot_error
-from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.analysis.record import Array, StrokeRecord
 from straightcomp_ros.analysis.style import BLACK, BLUE, VERMILION
 from straightcomp_ros.offline.scenario import node_set
 from straightcomp_ros.offline.starts import runs_of_starts, spread, with_values
@@ -100,8 +100,7 @@ def sliding_mode_stroke(machine: Machine) -> PaperFigure:
     """Fig. 9: run the stroke under (9) with its switching term, as the parameter file tunes it."""
     runs = _runs(machine, "smc")
 
-    def largest(record: StrokeRecord, error: bool) -> float:
-        values = record.r - record.y if error else record.y
+    def largest(record: StrokeRecord, values: Array) -> float:
         return float(np.abs(values)[record.motion.window].max()) / machine.gap
 
     fed = (
@@ -110,7 +109,8 @@ def sliding_mode_stroke(machine: Machine) -> PaperFigure:
     )
     name = "Fig. 9: error under sliding-mode control, p-p"
     ratio = "the paper prints |y/y0|; half of its p-p over 0.00013 is a y0 of 1.5 mm"
-    errors, ys = ([largest(record, error) for record, _ in runs] for error in (True, False))
+    errors = [largest(record, record.r - record.y) for record, _ in runs]
+    ys = [largest(record, record.y) for record, _ in runs]
     guide = "so |y/y0| ≤ 0.00013 can only mean the error: y itself follows the guide"
     claims = [
         _over_starts(name, _true_pp_um(runs), "µm", fed, PAPER_PP_UM["smc"]),
