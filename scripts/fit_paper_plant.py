@@ -30,7 +30,7 @@ LINEAR, SMC = 1.77, 0.40
 """The paper's figures in µm peak to peak."""
 TOLERANCE = 0.15
 STATIC_RATIO = 1.5
-"""F_S/F_C of the fit, as in Canudas de Wit et al. (1995): one figure cannot tell it."""
+"""F_S/F_C of the fit, as in Canudas de Wit et al. (1995): one figure does not identify it."""
 BOX = {
     "coulomb": (0.1, 3.0),  # N: 0.3 to 10 % of the platform's weight
     "static_ratio": (1.0, 2.0),  # F_S/F_C
@@ -111,14 +111,19 @@ def plant_in_box(point: Iterable[float]) -> PlantParameters:
     return from_mapping(StageParameters, {f"friction.{name}": number for name, number in friction.items()}).plant
 
 
+def print_heads(title: str, *heads: str) -> None:
+    """Begin a table in Markdown, with its title."""
+    print(f"\n## {title}\n\n| {' | '.join(heads)} |\n{'|---' * len(heads)}|")
+
+
 def survey_the_box(stroke: Stroke, count: int = 512) -> None:
     """Which plants of the box give the paper's figure for linear control: what one figure says, and what not."""
     points = qmc.Sobol(len(BOX), seed=1).random(count).tolist()
     found = np.array([stroke.error(plant_in_box(point), law()) for point in points])
     fits = np.abs(found - LINEAR) <= TOLERANCE * LINEAR
-    print(f"\n## The box: {fits.sum()} of {count} plants give {LINEAR} µm within {TOLERANCE:.0%}\n")
-    print("| parameter | range of the box | 5 to 95 % of those that fit | rank correlation with the figure |")
-    print("|---|---|---|---|")
+    title = f"The box: {fits.sum()} of {count} plants give {LINEAR} µm within {TOLERANCE:.0%}"
+    heads = ("range of the box", "5 to 95 % of those that fit", "rank correlation with the figure")
+    print_heads(title, "parameter", *heads)
     ranks = np.argsort(np.argsort(found))
     for column, (name, (low, high)) in enumerate(BOX.items()):
         p5, p95 = (low * (high / low) ** p for p in np.percentile(np.array(points)[fits, column], (5, 95)))
@@ -129,8 +134,8 @@ def survey_the_box(stroke: Stroke, count: int = 512) -> None:
 def fitted_coulomb(stroke: Stroke) -> float:
     """F_C in N, to 0.01 N, at which the shipped plant with F_S/F_C fixed gives the paper's figure."""
     levels = [0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0]
-    print("\n## Linear control over Coulomb friction (F_S = 1.5 F_C, the rest as shipped)\n")
-    print("| F_C [N] | linear (9) | with feedforward |\n|---|---|---|")
+    title = "Linear control over Coulomb friction (F_S = 1.5 F_C, the rest as shipped)"
+    print_heads(title, "F_C [N]", "linear (9)", "with feedforward")
     rows = []
     for level in levels:
         rows.append(stroke.errors(plant_with(level), law()))
@@ -144,12 +149,7 @@ def fitted_coulomb(stroke: Stroke) -> float:
 def show_switching(stroke: Stroke, plant: PlantParameters, title: str, *, feedforward: bool) -> None:
     """Error over ρ and over the slope ρ/ε of the boundary layer."""
     slopes = [100.0, 250.0, 300.0, 350.0, 500.0, 700.0, 1000.0, math.inf]
-    print(
-        f"\n## {title}; paper: {SMC:.2f}\n\n| ρ [m/s²] | "
-        + " | ".join(f"ρ/ε = {slope:g} /s" for slope in slopes[:-1])
-        + " | sgn |"
-    )
-    print("|---" * (len(slopes) + 1) + "|")
+    print_heads(f"{title}; paper: {SMC:.2f}", "ρ [m/s²]", *(f"ρ/ε = {slope:g} /s" for slope in slopes[:-1]), "sgn")
     for rho in (0.4, 0.7, 1.0, 2.0):
         cells = [stroke.errors(plant, law(slope, rho=rho, feedforward=feedforward)).text(2) for slope in slopes]
         print(f"| {rho:g} | " + " | ".join(cells) + " |")
@@ -157,8 +157,8 @@ def show_switching(stroke: Stroke, plant: PlantParameters, title: str, *, feedfo
 
 def show_velocity_estimate(stroke: Stroke, plant: PlantParameters, slope: float) -> None:
     """Error over the bandwidth of the velocity estimate, with boundary layer and with sgn."""
-    print("\n## With feedforward, over the velocity estimate\n")
-    print(f"| bandwidth [Hz] | linear | ρ = 1, ρ/ε = {slope:g} /s | sgn, ρ = 0.4 | sgn, ρ = 1 |\n|---|---|---|---|---|")
+    heads = ("linear", f"ρ = 1, ρ/ε = {slope:g} /s", "sgn, ρ = 0.4", "sgn, ρ = 1")
+    print_heads("With feedforward, over the velocity estimate", "bandwidth [Hz]", *heads)
     for bandwidth in (50.0, 100.0, 200.0, 400.0, 1000.0):
         cases = [(0.0, 1.0), (slope, 1.0), (math.inf, 0.4), (math.inf, 1.0)]
         laws = [law(at, rho=rho, feedforward=True, velocity_bandwidth=bandwidth) for at, rho in cases]
@@ -167,12 +167,8 @@ def show_velocity_estimate(stroke: Stroke, plant: PlantParameters, slope: float)
 
 def show_drive(stroke: Stroke, coulomb: float, slope: float) -> None:
     """Error over command delay and amplifier bandwidth, and which slope is stable."""
-    print("\n## Delay and amplifier\n")
-    print(
-        "| delay [samples] | amplifier [Hz] | linear | smc, no feedforward | smc, feedforward "
-        "| sgn, ρ = 0.4, feedforward | stable below ρ/ε |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    heads = ("linear", "smc, no feedforward", "smc, feedforward", "sgn, ρ = 0.4, feedforward", "stable below ρ/ε")
+    print_heads("Delay and amplifier", "delay [samples]", "amplifier [Hz]", *heads)
     laws = [law(), law(slope), law(slope, feedforward=True), law(math.inf, rho=0.4, feedforward=True)]
     for delay in (0.0, 0.5, 1.0):
         for bandwidth in (200.0, 500.0, 2000.0):
@@ -190,8 +186,8 @@ def stable_slope(delay: float, bandwidth: float) -> float:
 
 def show_guides(slope: float) -> None:
     """The literal law, without feedforward, on guides of the survey's height but other slopes."""
-    print("\n## Without feedforward, other guides of the same height (cosine of n half waves)\n")
-    print("| n | largest ṙ [µm/s] | lag alone, p-p [µm] | F_C [N] | linear | smc |\n|---|---|---|---|---|---|")
+    title = "Without feedforward, other guides of the same height (cosine of n half waves)"
+    print_heads(title, "n", "largest ṙ [µm/s]", "lag alone, p-p [µm]", "F_C [N]", "linear", "smc")
     for half_waves in (2, 3, 4, 6):
         stroke = Stroke(half_waves)
         lag = 2.0 * SlidingDesign().zeta / SlidingDesign().omega_n * 2.0 * stroke.rate * 1e6

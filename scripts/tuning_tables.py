@@ -15,39 +15,33 @@ FIGURES = {"p-p": ("true_pp_um", 1.0, 2), "RMS": ("true_rms_um", 1.0, 3), "step 
 """Head of a row: name in `Metrics.to_display`, factor, digits."""
 
 
+_BOTH = ("p-p", "step of i_c")
+
+
 class Table(NamedTuple):
-    """One parameter: head, law, delay in samples, node and name of the parameter, rows, and the values tried."""
+    """One parameter: head, law, name of the parameter, the values tried, rows, and the node that has it."""
 
     head: str
     law: str
-    node: str
     parameter: str
-    rows: tuple[str, ...]
     values: tuple[float, ...]
+    rows: tuple[str, ...] = _BOTH
+    node: str = "controller"
 
 
-_BOTH = ("p-p", "step of i_c")
 TABLES = (
-    Table("ε [m/s]", "smc", "controller", "control.smc.boundary_layer", tuple(FIGURES),
-          (0.0008, 0.0016, 0.0032, 0.004, 0.008)),
-    Table("ωn/2π [Hz]", "smc", "controller", "control.smc.natural_frequency", _BOTH,
-          (20, 35, 50, 70)),
-    Table("φ [1/s]", "smc", "controller", "control.smc.phi", _BOTH, (25, 50, 100, 200, 400)),
-    Table("velocity estimate [Hz]", "smc", "controller", "control.smc.velocity_bandwidth", _BOTH, (50, 100, 1000)),
-    Table("allowance", "smc_observer", "controller", "control.smc_observer.gain_allowance", _BOTH,
-          (0.8, 1.2, 1.7, 2.2, 3.0)),
-    Table("bandwidth [Hz]", "smc_observer", "controller", "control.smc_observer.bandwidth", _BOTH,
-          (100, 150, 205, 280, 400)),
-    Table("λ [1/s]", "smc_observer", "controller", "control.smc_observer.surface", _BOTH,
-          (200, 400, 575, 800, 1200)),
-    Table("κ [1/s]", "smc_observer", "controller", "control.smc_observer.reaching", _BOTH,
-          (200, 300, 396, 600, 900)),
-    Table("delay believed [samples]", "smc_observer", "controller", "control.smc_observer.delay", _BOTH,
-          (0.0, 0.5, 0.88, 1.0)),
-    Table("share m", "smc_observer", "controller", "control.smc_observer.velocity_share", _BOTH,
-          (0.0, 0.15, 0.3, 0.5, 1.0)),
-    Table("true delay [samples]", "smc_observer", "stage", "drive.delay", _BOTH, (0.05, 0.5, 1.0, 1.25, 2.0)),
-)  # fmt: skip
+    Table("ε [m/s]", "smc", "control.smc.boundary_layer", (0.0008, 0.0016, 0.0032, 0.004, 0.008), tuple(FIGURES)),
+    Table("ωn/2π [Hz]", "smc", "control.smc.natural_frequency", (20, 35, 50, 70)),
+    Table("φ [1/s]", "smc", "control.smc.phi", (25, 50, 100, 200, 400)),
+    Table("velocity estimate [Hz]", "smc", "control.smc.velocity_bandwidth", (50, 100, 1000)),
+    Table("allowance", "smc_observer", "control.smc_observer.gain_allowance", (0.8, 1.2, 1.7, 2.2, 3.0)),
+    Table("bandwidth [Hz]", "smc_observer", "control.smc_observer.bandwidth", (100, 150, 205, 280, 400)),
+    Table("λ [1/s]", "smc_observer", "control.smc_observer.surface", (200, 400, 575, 800, 1200)),
+    Table("κ [1/s]", "smc_observer", "control.smc_observer.reaching", (200, 300, 396, 600, 900)),
+    Table("delay believed [samples]", "smc_observer", "control.smc_observer.delay", (0.0, 0.5, 0.88, 1.0)),
+    Table("share m", "smc_observer", "control.smc_observer.velocity_share", (0.0, 0.15, 0.3, 0.5, 1.0)),
+    Table("true delay [samples]", "smc_observer", "drive.delay", (0.05, 0.5, 1.0, 1.25, 2.0), node="stage"),
+)
 
 
 def over_starts(values: Values, count: int = STARTS) -> dict[str, Spread]:
