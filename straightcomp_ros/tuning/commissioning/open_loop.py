@@ -9,7 +9,7 @@ nothing has to be known of the magnets' negative stiffness.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -93,17 +93,13 @@ def connection(work: Work) -> Outcome:
     steps = np.diff(series.stamps)
     rate = 1e9 / float(np.median(steps))
     taken = np.concatenate([[0], np.cumsum(np.maximum(1, np.round(steps * rate * 1e-9)).astype(np.int64))])
-    expected = int(taken[-1]) + 1
-    lost, lost_commands, latency = expected - samples, _lost_commands(series), latency_percentiles(series.latency)
-    noise, different = float(np.std(series.y)) / stage.encoder.y_resolution, np.unique(series.y)
-    count = float(np.diff(different).min()) * 1e9 if different.size > 1 else 0.0
-    mean = max(1, round(_MEAN_TIME * rate))
-    went = abs(float(series.y[-mean:].mean() - series.y[:mean].mean()))
     slope, _ = np.polyfit(taken, (series.stamps - series.stamps[0]).astype(np.float64), 1)
+    noise, different = float(np.std(series.y)) / stage.encoder.y_resolution, np.unique(series.y)
+    latency = latency_percentiles(series.latency)
     figures: dict[str, Any] = {
         "samples": samples,
-        "lost_samples": lost,
-        "lost_commands": lost_commands,
+        "lost_samples": int(taken[-1]) + 1 - samples,
+        "lost_commands": _lost_commands(series),
         "rate_Hz": rate,
         "clock_drift_ppm": (stage.rate * float(slope) * 1e-9 - 1.0) * 1e6,
         "jitter_us": float(np.std(steps)) * 1e-3,
@@ -111,50 +107,58 @@ def connection(work: Work) -> Outcome:
         "latency_histogram": _histogram(series),
         "noise_y_counts": noise,
         "noise_x_counts": float(np.std(series.x)) / stage.encoder.x_resolution,
-        "count_y_nm": count,
+        "count_y_nm": float(np.diff(different).min()) * 1e9 if different.size > 1 else 0.0,
     }
-    wrong = ""
-    arrived, described = float(np.isfinite(series.latency).mean()), stage.encoder.y_resolution * 1e9
-    allowed = _NOISY * (stage.uncertainty.sensor_noise + _ROUNDING)
-    if not np.isfinite([series.x, series.y]).all():
-        wrong = "a reading is not a number; look at the encoders and their interface"
-    elif abs(rate / stage.rate - 1.0) > _SLOW:
-        wrong = f"{rate:.6g} samples per second; the description says {stage.rate} ('stage.rate')"
-    elif lost:
-        wrong = (
-            f"{lost} of {expected} samples ({100.0 * lost / expected:.2g} %) were lost; look at the bus: its load, its "
-            "terminators, its error counters"
-        )
-    elif lost_commands:
-        wrong = (
-            f"{lost_commands} of {samples} samples got no command; look at the controller's log, at what else this "
-            "computer does, and at 'straightcomp doctor'"
-        )
-    elif arrived < _LEAST_ARRIVED:
-        wrong = (
-            f"commands arrived at the driver between {100.0 * arrived:.3g} % of the samples (allowed: >= "
-            f"{100.0 * _LEAST_ARRIVED:g} %); is the controller active, and is this computer busy?"
-        )
-    elif noise > allowed and went > _WENT * float(np.ptp(series.y)):
-        # What passes by in a fall is not the encoder's count, nor its noise.
-        wrong = (
-            f"y went {went * 1e6:.3g} µm with the amplifier off: something pulls the platform, and friction does not "
-            "hold it; look at the tilt of y, and at cables and hoses"
-        )
-    elif different.size >= _READINGS and abs(count / described - 1.0) > _COUNT_WITHIN:
-        wrong = (
-            f"y comes in steps of {count:.4g} nm; the description says {described:.4g} nm "
-            "('stage.encoder.y_resolution')"
-        )
-    elif noise > allowed:
-        wrong = (
-            f"y moves by {noise:.2g} counts RMS with the amplifier off (allowed by 'stage.uncertainty.sensor_noise': "
-            f"{allowed:.2g}); look at the encoder of y and its shield, and at what shakes the machine"
-        )
-    if wrong:
+    if wrong := _signal_fault(series, figures, stage):
         return Outcome(False, wrong, figures)
     late = f"commands after {latency['p50']:.0f} µs (p99 {latency['p99']:.0f} µs)"
     return Outcome(True, f"{samples} samples at {rate:.6g} Hz, none lost; {late}; noise {noise:.2g} counts", figures)
+
+
+def _signal_fault(series: Series, figures: Mapping[str, Any], stage: StageParameters) -> str:
+    """What is wrong with the samples of `connection`, which have these ``figures``; empty if nothing is."""
+    samples, lost, lost_commands = (figures[name] for name in ("samples", "lost_samples", "lost_commands"))
+    rate, noise, count = (figures[name] for name in ("rate_Hz", "noise_y_counts", "count_y_nm"))
+    arrived, described = float(np.isfinite(series.latency).mean()), stage.encoder.y_resolution * 1e9
+    allowed = _NOISY * (stage.uncertainty.sensor_noise + _ROUNDING)
+    if not np.isfinite([series.x, series.y]).all():
+        return "a reading is not a number; look at the encoders and their interface"
+    if abs(rate / stage.rate - 1.0) > _SLOW:
+        return f"{rate:.6g} samples per second; the description says {stage.rate} ('stage.rate')"
+    if lost:
+        return (
+            f"{lost} of {samples + lost} samples ({100.0 * lost / (samples + lost):.2g} %) were lost; look at the bus: "
+            "its load, its terminators, its error counters"
+        )
+    if lost_commands:
+        return (
+            f"{lost_commands} of {samples} samples got no command; look at the controller's log, at what else this "
+            "computer does, and at 'straightcomp doctor'"
+        )
+    if arrived < _LEAST_ARRIVED:
+        return (
+            f"commands arrived at the driver between {100.0 * arrived:.3g} % of the samples (allowed: >= "
+            f"{100.0 * _LEAST_ARRIVED:g} %); is the controller active, and is this computer busy?"
+        )
+    mean = max(1, round(_MEAN_TIME * rate))
+    went = abs(float(series.y[-mean:].mean() - series.y[:mean].mean()))
+    if noise > allowed and went > _WENT * float(np.ptp(series.y)):
+        # What passes by in a fall is not the encoder's count, nor its noise.
+        return (
+            f"y went {went * 1e6:.3g} µm with the amplifier off: something pulls the platform, and friction does not "
+            "hold it; look at the tilt of y, and at cables and hoses"
+        )
+    if np.unique(series.y).size >= _READINGS and abs(count / described - 1.0) > _COUNT_WITHIN:
+        return (
+            f"y comes in steps of {count:.4g} nm; the description says {described:.4g} nm "
+            "('stage.encoder.y_resolution')"
+        )
+    if noise > allowed:
+        return (
+            f"y moves by {noise:.2g} counts RMS with the amplifier off (allowed by 'stage.uncertainty.sensor_noise': "
+            f"{allowed:.2g}); look at the encoder of y and its shield, and at what shakes the machine"
+        )
+    return ""
 
 
 def _lost_commands(series: Series) -> int:
@@ -342,17 +346,17 @@ def _unbalanced(shaken: Series, left_at: int, travel: float, stage: StageParamet
         return pulled
     place = float(shaken.y[0])
     pull = actuator.position_stiffness * abs(place)
-    beside = f"; or move the platform to the middle: at y = {place * 1e6:.3g} µm they pull with {pull:.2g} N"
-    beside = beside if pull > stage.friction.coulomb / stage.uncertainty.friction else ""
+    or_else = f"; or move the platform to the middle: at y = {place * 1e6:.3g} µm they pull with {pull:.2g} N"
+    or_else = or_else if pull > stage.friction.coulomb / stage.uncertainty.friction else ""
     if slow:
         return (
             f"the platform left {travel * 1e6:g} µm within {left_at} samples, in which the current's path does not "
-            f"show; needed: {_ENOUGH}; raise 'stage.rate', or hold the platform{beside}"
+            f"show; needed: {_ENOUGH}; raise 'stage.rate', or hold the platform{or_else}"
         )
     return (
         f"with the amplifier on and hardly any current the platform left {travel * 1e6:g} µm within {time * 1e3:.3g} "
         "ms: the magnets do not balance; look for a coil without current, and for a bias current that is not "
-        f"{actuator.bias_current:g} A in both{beside}"
+        f"{actuator.bias_current:g} A in both{or_else}"
     )
 
 
