@@ -1,10 +1,10 @@
-"""Machines that are drawn blindly, each commissioned without a look at the truth, beside what full knowledge gives.
+"""Machines that are drawn at random, each commissioned without a look at the truth; and what full knowledge gives.
 
     python -m scripts.blind_trials test/tuning/commissioning/rough.yaml --machines 50 --seed 1 -o DIR
 
 All is drawn within `stage.uncertainty`, friction and amplifier log-uniformly, and the encoder's count log-uniformly
-from 0.05 to 0.5 µm. With ``--kinds`` each machine has one or two resonances that nobody described, and one of the kinds
-of friction; of these the description knows bearing and bristles, as a builder does, but not whether blocks slip. Full
+from 0.05 to 0.5 µm. With ``--kinds`` each machine has one or two resonances that no description has, and a kind of
+friction; of these the description knows bearing and bristles, as a builder does, but not whether blocks slip. Full
 knowledge is the same design with the same effort, from a description that is the machine.
 Figures are of the true error, medians of three starts. The platform's true position is watched throughout: while it is
 commissioned, in these starts, and standing still for some seconds. A row is printed as soon as it is known; a machine
@@ -164,8 +164,8 @@ def figures(values: Values) -> tuple[float, str, float]:
         found.append((evaluate(record, straightness).true_pp or math.nan) * 1e6)
         verdicts.append(verdict_on(record, straightness, values).verdict)
         farthest = max(farthest, float(np.abs(record.true_y).max()))
-    bad = [verdict for verdict in verdicts if verdict != "in_order"]
-    return spread(found).median, bad[0] if bad else "in_order", farthest
+    verdict = next((one for one in verdicts if one != "in_order"), "in_order")
+    return spread(found).median, verdict, farthest
 
 
 def at_rest(values: Values) -> tuple[float, bool]:

@@ -1,4 +1,4 @@
-"""Does the first `make demo` work on a computer that nobody has prepared, and that has other work to do?
+"""Does the first `make demo` work on a computer that is not prepared, and that has other work to do?
 
     sudo python3 scripts/first_runs.py --pythons python3.10 /usr/bin/python3 --users root somebody --runs 20
 
@@ -65,13 +65,13 @@ def _options() -> argparse.Namespace:
 
 
 def _first_run(stand: Stand, busy: int) -> str:
-    """One run with empty caches beside busy processes; returns what came of it."""
+    """One run with empty caches and busy processes; returns what came of it."""
     stand.empty_caches()
     begin = time.monotonic()
     with load(busy):
         code, text = stand.run("make --silent demo ARGS=--json", _LONGEST_S)
     seconds = time.monotonic() - begin
-    # A demonstration that busy processes starve tells its figures too; whether it ran is what counts here.
+    # A demonstration that busy processes starve prints its figures too; whether it ran is what counts here.
     if code and '"verdict": "starved"' not in text:
         stand.failed += 1
         shutil.copytree(stand.clone / "demo_output", stand.clone / f"failed_{stand.failed}", dirs_exist_ok=True)
@@ -165,8 +165,8 @@ def load(each: int) -> Iterator[None]:
 
 def _outcome(text: str) -> str:
     """What pytest counted, and the tests that failed; all of the text, if it is not pytest's."""
-    told = [line for line in text.splitlines() if line.startswith("FAILED") or re.search(r"\d+ passed", line)]
-    return "; ".join(told) or text
+    counted = [line for line in text.splitlines() if line.startswith("FAILED") or re.search(r"\d+ passed", line)]
+    return "; ".join(counted) or text
 
 
 if __name__ == "__main__":

@@ -75,10 +75,10 @@ def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
         laws = json.loads(path.read_text("utf-8"))["laws"]
         return {
             law: {
-                "robust_pp_um": {name: told["pp_um"][name] for name in ("p50", "p95", "max")},
-                "not_in_order": told["not_in_order"],
+                "robust_pp_um": {name: summary["pp_um"][name] for name in ("p50", "p95", "max")},
+                "not_in_order": summary["not_in_order"],
             }
-            for law, told in laws.items()
+            for law, summary in laws.items()
         }
     except OSError as error:
         raise InputError(f"file {path}: {error.strerror}") from error
@@ -167,30 +167,30 @@ def rows(values: Values, robustness: Mapping[str, Mapping[str, Any]]) -> list[di
     ]
 
 
-def cells(told: Mapping[str, Any]) -> list[str]:
+def cells(row: Mapping[str, Any]) -> list[str]:
     """One row of the table."""
-    law = told["law"]
+    law = row["law"]
     errors = [
-        Spread(**told[name]).text(digits) for name, digits in (("pp_um", 2), ("rms_um", 3), ("control_rms_step_mA", 1))
+        Spread(**row[name]).text(digits) for name, digits in (("pp_um", 2), ("rms_um", 3), ("control_rms_step_mA", 1))
     ]
     paper = f"{PAPER_PP_UM[law]:.2f}" if law in PAPER_PP_UM else ""
     uncertain, failed = "", ""
-    if "robust_pp_um" in told:
-        percentiles = told["robust_pp_um"]
+    if "robust_pp_um" in row:
+        percentiles = row["robust_pp_um"]
         uncertain = f"{percentiles['p50']:.2f} / {percentiles['p95']:.2f} / {percentiles['max']:.2f}"
-        failed = str(told["not_in_order"])
-    return [NAMES.get(law, law), paper, *errors, uncertain, failed, f"{told['step_us']:.1f}"]
+        failed = str(row["not_in_order"])
+    return [NAMES.get(law, law), paper, *errors, uncertain, failed, f"{row['step_us']:.1f}"]
 
 
 def markdown(table: Sequence[Mapping[str, Any]]) -> str:
     """The table, and the margins of those laws that have some."""
     margins = [
-        [NAMES.get(told["law"], told["law"]), *(f"{told[name]:.{digits}f}" for name, (_, digits) in MARGINS.items())]
-        for told in table
-        if told.get("gain_low") is not None
+        [NAMES.get(row["law"], row["law"]), *(f"{row[name]:.{digits}f}" for name, (_, digits) in MARGINS.items())]
+        for row in table
+        if row.get("gain_low") is not None
     ]
     heads = ["law", *(head for head, _ in MARGINS.values())]
-    return f"{_grid(HEADS, [cells(told) for told in table])}\n\n{_grid(heads, margins)}"
+    return f"{_grid(HEADS, [cells(row) for row in table])}\n\n{_grid(heads, margins)}"
 
 
 def _grid(heads: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

@@ -62,22 +62,22 @@ def shown(folder: Path, took: float) -> tuple[str, bool]:
     path = folder / RECORD
     steps: Mapping[str, Any] = json.loads(path.read_text())["steps"] if path.is_file() else {}
     undone = [name for name in STEP_NAMES if not steps.get(name, {}).get("passed")]
-    told = [f"{took:.0f} s"]
+    found = [f"{took:.0f} s"]
     if "connection" not in undone:
-        told.append(f"commands with a p99 of {steps['connection']['figures']['latency_us']['p99']:.0f} µs")
+        found.append(f"commands with a p99 of {steps['connection']['figures']['latency_us']['p99']:.0f} µs")
     if "frequency_response" not in undone:
         response = steps["frequency_response"]["figures"]
-        told.append(
+        found.append(
             f"model within {response['largest_deviation_dB']:.2f} dB and {response['largest_deviation_deg']:.1f}°"
         )
     if "acceptance" not in undone:
         stroke = steps["acceptance"]["figures"]
-        told.append(f"{stroke['encoder_pp_um']:.2f} µm p-p by the encoder, {stroke['true_pp_um']:.2f} µm true")
+        found.append(f"{stroke['encoder_pp_um']:.2f} µm p-p by the encoder, {stroke['true_pp_um']:.2f} µm true")
         if stroke["disturbed_strokes"]:
-            told.append(f"strokes that the host disturbed: {len(stroke['disturbed_strokes'])}")
+            found.append(f"strokes that the host disturbed: {len(stroke['disturbed_strokes'])}")
     if undone:
-        told.append(f"{undone[0]}: {steps.get(undone[0], {}).get('sentence', 'not done')}")
-    return "; ".join(told), not undone and took <= ALLOWED_S
+        found.append(f"{undone[0]}: {steps.get(undone[0], {}).get('sentence', 'not done')}")
+    return "; ".join(found), not undone and took <= ALLOWED_S
 
 
 def main(arguments: list[str]) -> None:
@@ -92,10 +92,10 @@ def main(arguments: list[str]) -> None:
         trial, folder = TRIALS[name], options.output / name
         with making(options.output, [name], anew=False):
             took = commissioned(options.stage, trial, folder, options.domain)
-        told, passed = shown(folder, took)
+        found, passed = shown(folder, took)
         good.append(passed)
         truth = ", ".join(f"{key} {factor:g}" for key, factor in trial.truth.items())
-        print(f"| {name}: {truth} | {trial.graph} | {'yes' if passed else 'no'} | {told} |", flush=True)
+        print(f"| {name}: {truth} | {trial.graph} | {'yes' if passed else 'no'} | {found} |", flush=True)
     print(f"{sum(good)} of {len(good)} machines have their certificate within {ALLOWED_S:g} s")
     sys.exit(0 if all(good) else 1)
 

@@ -43,7 +43,7 @@ DRIFT = 0.02e-6
 HYSTERESIS = 0.04e-6
 SPIKES = 12
 KNOCK = (3, 1.1, 0.05, 2e-6)
-"""Run, and x, length and height in m of a stretch over which somebody leant on the straight edge."""
+"""Run, and x, length and height in m of a stretch over which a person leant on the straight edge."""
 
 
 def survey(folder: Path) -> None:

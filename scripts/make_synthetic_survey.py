@@ -4,7 +4,7 @@ From the top of the repository:
 
     python -m scripts.make_synthetic_survey
 
-The guide has the features of the paper's Fig. 2: 1760 mm, 22.4 µm peak to peak beside its least
+The guide has the features of the paper's Fig. 2: 1760 mm, 22.4 µm peak to peak about its least
 squares line, a long-wave bow with medium waves and a small ripple at the pitch of the rail's bolts.
 The survey is the guide every 10 mm, three times forward and three times backward, with the
 repeatability of a good laser interferometer; there is no hysteresis. Every run gives the same bytes.

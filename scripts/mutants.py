@@ -5,7 +5,7 @@ source is as likely as any other. Left out are:
 
 - Operators that nearly always raise TypeError, such as + to <<: they would only raise the figure. An operator becomes
   its neighbour: + and -, * and /, < and <= or >=.
-- cosmic-ray's numbers: it adds 1 to each, which nobody can notice in 1e9 and everybody does in 1e-9. Here a small
+- cosmic-ray's numbers: it adds 1 to each, which no test can notice in 1e9 and every one does in 1e-9. Here a small
   integer changes by 1, and any other number is doubled or halved.
 - Annotations, decorators, ``if TYPE_CHECKING``, texts for people (f-strings) and the look of a picture (``LOOK``).
 - Defaults and ranges of parameters: the files in config/ and docs/reference.md repeat them, and
@@ -13,7 +13,7 @@ source is as likely as any other. Left out are:
 - How long something is waited for that answers at once, and the line that a warning names (``UNSEEN``).
 - Renamed exceptions and variables: mypy and ruff find them.
 
-Each mutant stands in a temporary copy of the tree, with numba's cache beside it; the working tree is never touched. A
+Each mutant stands in a temporary copy of the tree, with numba's cache in it; the working tree is never touched. A
 run that takes three times the processor time of one without a mutant is ended, and the mutant counts as killed.
 Equivalent mutants, which do what the source does, are named with the reason in test/equivalent_mutants.yaml and count
 neither way.

@@ -46,7 +46,7 @@ _DRAWN_S = 1.5
 
 
 class Browser:
-    """Chromium without a window, told what to do over a pair of pipes (Chrome DevTools Protocol)."""
+    """Chromium without a window, controlled over a pair of pipes (Chrome DevTools Protocol)."""
 
     def __init__(self, profile: str) -> None:
         reads, self._to = os.pipe()

@@ -3,7 +3,7 @@
     python scripts/processors.py [--only NAME ...] [PYTEST ARGUMENTS]
 
 The last bits of a floating-point result differ between processors: OpenBLAS chooses its kernels, NumPy and Numba their
-instructions. Here OpenBLAS is told to take another processor's kernels, NumPy gets none of the instructions that are
+instructions. Here OpenBLAS is made to take another processor's kernels, NumPy gets none of the instructions that are
 newer than what it was built for, and Numba none that not every x86-64 has. NumPy's names of instructions changed with
 version 2.4 and it only warns of names that it does not know; so it is asked for them.
 """
@@ -40,7 +40,7 @@ def environment(processor: str) -> dict[str, str]:
         "OPENBLAS_CORETYPE": processor,
         "NUMBA_CPU_NAME": "generic",
         "NPY_DISABLE_CPU_FEATURES": " ".join(newer),
-        # Threads that wait for each other by spinning take the CPUs from the tests beside.
+        # Threads that wait for each other by spinning take the CPUs from the other tests.
         "OPENBLAS_NUM_THREADS": "1",
     }
 

@@ -301,10 +301,10 @@ def live(values: Any, plans: Sequence[Plan], folder: Path) -> tuple[list[float],
         stand.stop()
         truth = read_streams(stand.bag, {TRUTH.topic: TRUTH.layout})[TRUTH.topic]
     straightness, found = load_map(node_parameters("feedforward", values).stage.guide), list[dict[str, Any]]()
-    for plan, begin_ns, end_ns in runs:
+    for number, (plan, begin_ns, end_ns) in enumerate(runs):
         stamps = np.arange(truth.stamp[np.searchsorted(truth.stamp, begin_ns)], end_ns, period_ns)
         x, y = (np.interp(stamps, truth.stamp, truth.columns[name]) for name in ("true_x", "true_y"))
-        if not found and plan.trajectory is strokes.trajectory:
+        if not number:  # the strokes
             error = straightness.evaluate(x)[0] - y
             settle, once = round(motion.settle * stage.rate), cycles(motion, 1)[-1].time_ns // period_ns
             normal = [peak_to_peak(error[k * once + settle : (k + 1) * once - settle]) for k in range(STARTS)]

@@ -1,11 +1,11 @@
 """Run many strokes of the whole graph in real time, in turns, and say what each condition costs in accuracy.
 
 The conditions are all combinations of --graphs (separate processes, or driver, feedforward and controller in one),
---loads (quiet, or beside four busy processes and one that writes to the disk without a pause) and --priorities. With
+--loads (quiet, or with four busy processes and one that writes to the disk without a pause) and --priorities. With
 --pair the machine of a second stage file runs too: each stage alone, then both at once, in two namespaces. Exit code 1
-if a stroke failed, or if a stage has more than 1.2 times its error alone beside the other. The errors without what the
-stalls of the host disturbed say whether it was the host: one of virtual machines stalls them more often where all of
-their CPUs work. Run it on a computer at rest; a stroke takes half a minute. Its bags are in --output, by condition."""
+if a stroke failed, or if a stage has more than 1.2 times its error alone while the other moves. The errors without what
+the stalls of the host disturbed say whether it was the host: one of virtual machines stalls them more often where all
+of their CPUs work. Run it on a computer at rest; a stroke takes half a minute. Bags are in --output, by condition."""
 
 import argparse
 import itertools
@@ -35,7 +35,7 @@ BUSY = 4
 ERRORS = "pp_um", "undisturbed_pp_um"
 """Of a stroke, the second one without what the stalls of the host disturbed."""
 LARGEST_RATIO = 1.2
-"""Of a stage's median error beside another stage to that alone."""
+"""Of a stage's median error while another stage moves to that alone."""
 _WRITE = """
 import os, sys
 while True:

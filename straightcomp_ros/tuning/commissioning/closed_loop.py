@@ -4,7 +4,7 @@
 - `identification`: the machine from one cycle along an excitation, and whether it is the one that was described. The
   mass is held at its description, since position and current identify forces only up to a common factor, which no law
   needs. What is compared with the description is what does not depend on that factor. Then, still under the safe law,
-  the frequency response shows the resonances: a mode that nobody described must not meet a law that excites it.
+  the frequency response shows the resonances: a mode that is not described must not meet a law that excites it.
 - `design`: gains of `smc_observer` for the machine as identified, with its modes, and what of it is still open.
 - `frequency_response`: plant and margins as measured; does what was identified explain them? The same measurement is
   made of the simulated machine as identified. Between rest and sliding, friction is neither a spring nor a damping:
@@ -75,7 +75,7 @@ _SWUNG = 0.0015
 """Least amplitude of it relative to the way: one of 93 Hz that grows with 100 1/s has 0.0024, a smooth way 0.0004."""
 _RINGING = {"damping": 0.01, "damping_factor": 3.0, "frequency_error": 0.05, "participation_error": 0.5}
 """Of a mode that made the platform swing, as far as is known before it has been measured: a loop at the limit of its
-stability swings near the mode (at 91 Hz beside one of 94 Hz)."""
+stability swings near the mode (at 91 Hz with one of 94 Hz)."""
 _SEEN = (0.4, 0.28, 0.2, 0.14)
 """Its participation at coil and encoder, apart: the first with which there is a safe law is taken."""
 _SEARCH = {"lines": 200, "period": 4.0, "draws": 4}
@@ -167,7 +167,7 @@ def _excited(work: Work, bag: Path) -> dict[str, Any]:
     Raises:
         LeftTravel: the platform left its travel, and there is no such law, or under it too.
     """
-    # Beside the bag: in the folder itself may be a file of the user's own, the survey even.
+    # Next to the bag: in the folder itself may be a file of the user's own, the survey even.
     stage, file = work.stage, bag.with_name("excitation.csv")
     file.parent.mkdir(parents=True, exist_ok=True)
     survey, facts = excitation(stage, _LENGTH)
@@ -272,7 +272,7 @@ def scaled_by(
     """``facts`` with all forces over the mass as the response shows them, and that scale relative to the record's.
 
     What rings or gives way in a record is inertia to a model without it: all forces come out too large or too small by
-    one factor. The response has the mass's line beside the modes.
+    one factor. The response has the mass's line apart from the modes.
     """
     turns = facts.get("actuator.turns", stage.actuator.turns)
     gap = facts.get("actuator.air_gap", stage.actuator.air_gap)

@@ -294,7 +294,7 @@ class Valley:
             scales = [rule[gain.name] if gain.power else 1.0 for gain in searched]
             low = [math.log(gain.low * scale) for gain, scale in zip(searched, scales, strict=True)]
             high = [math.log(gain.high * scale) for gain, scale in zip(searched, scales, strict=True)]
-            first = [min(max(x, least), most) for x, least, most in zip(first, low, high, strict=True)]
+            first = np.clip(first, low, high).tolist()
             options["bounds"] = [low, high]
         self._strategy = CMAEvolutionStrategy(first, step, options)
         self._asked: list[Sequence[float]] = []

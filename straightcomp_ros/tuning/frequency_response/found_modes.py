@@ -4,7 +4,7 @@ The plant is fitted as that of a rigid platform of any gain, damping and stiffne
 
     P ~ g C_e/(1 − (K̄_y − d s) C_c),   C_e = 1/(M s²) + (1/M) Σ r/(s² + 2ζωs + ω²),   r = φ_c φ_e
 
-and C_c alike with |r|: a measurement from command to encoder hardly tells φ_c from φ_e.
+and C_c alike with |r|: a measurement from command to encoder hardly distinguishes φ_c from φ_e.
 
 Each new mode begins where it explains most, over a grid of frequencies, and all are then fitted together, each line by
 its confidence; once more from where they are described, since the fit of two that overlap has several minima. A mode
@@ -76,7 +76,7 @@ class FoundMode(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The mode in words, and what to do about one that nobody described."""
+        """The mode in words, and what to do about one that is not described."""
         f, z, r = self.frequency, self.damping, self.residue
         what = (
             f"{f.value:.1f} Hz ({f.low:.1f} to {f.high:.1f}), damping {z.value:.2g} ({z.low:.2g} to {z.high:.2g}), "

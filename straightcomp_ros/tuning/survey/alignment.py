@@ -93,7 +93,7 @@ class Alignment(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether the strokes tell anything: the sensor sees the guide, and fits at one shift alone."""
+        """Whether the strokes identify anything: the sensor sees the guide, and fits at one shift alone."""
         return self.ambiguous is None and abs(self.gain.value) > _SEEN * self.gain.uncertainty
 
     @property

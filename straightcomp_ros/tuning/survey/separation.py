@@ -34,10 +34,8 @@ from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyEr
 
 _LOUDEST = 10.0
 """A form of the edge counts as unseen where its noise, RMS over x, would be so many times that of a difference."""
-
-
 _LONGEST = 0.1
-"""Of the length: over fewer than ten periods, waves of the shift's length are hardly told from others."""
+"""Of the length: over fewer than ten periods, waves of the shift's length are hardly distinguished from others."""
 _MOST = 3000
 """Points of two surveys between which something was shifted: the equations of the edge's spline are a matrix of so many
 rows and columns, whose decomposition takes a minute."""
