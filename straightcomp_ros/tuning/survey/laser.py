@@ -43,25 +43,23 @@ def read_rtl(path: Path, conventions: Conventions) -> Survey:
 
     SurveyError if it is of another measurement, a number is missing or none, or a reading is given twice.
     """
-    section = ""
+    block = ""
     targets: list[float] = []
     readings: dict[int, dict[int, tuple[int, float, float]]] = {}
     counts: dict[str, float] = {}
-    collecting = False
     for line, raw in numbered_lines(path):
         where, text = f"survey {path}, line {line}", raw.strip()
         key, colon, value = (part.strip() for part in text.partition(":"))
         if text.endswith("::"):
-            section, collecting = text[:-2].strip().upper(), False
+            block = ""
         elif colon and not re.match(r"[+-]?[\d.]", text):
-            name = key.lower()
-            collecting = name in ("targets", "run target data")
+            block = name = key.lower()
             _refuse_other_kinds(where, name, value)
             if name in ("target-count", "run-count"):
                 counts[name] = number(where, key, value)
-        elif collecting and section == "TARGET DATA":
+        elif block == "targets":
             targets += [number(where, "target", cell) for cell in text.split()]
-        elif collecting:
+        elif block == "run target data":
             cells = _numbers(
                 where, text, ("run", "target", "deviation"), "numbers of run and target, and the deviation in µm"
             )
