@@ -1,9 +1,9 @@
 """Run many strokes on machines that differ from the one that the controller was designed for.
 
-For each trial mass, magnetic force, air gap, friction, sensor noise, command delay, sample times and the survey are
-drawn anew within `stage.uncertainty`, and every law runs on the very same machines. The controller keeps its
-description. Trial k of a seed is always the same machine, on any number of cores, here or on Dask workers. The exit
-code is 1 if a law is not in order on a machine.
+For each trial mass, magnetic force, air gap, friction, the amplifier's bandwidth, sensor noise, command delay, sample
+times and the survey are drawn anew within `stage.uncertainty`, and described modes within their own; every law runs on
+the very same machines. The controller keeps its description. Trial k of a seed is always the same machine, on any
+number of cores, here or on Dask workers. The exit code is 1 if a law is not in order on a machine.
 """
 
 import argparse
@@ -123,7 +123,8 @@ def _verdict(summaries: list[LawSummary]) -> Verdict:
 def _conditions(ranges: UncertaintyParameters) -> str:
     return (
         f"mass ±{ranges.mass:.0%}, magnetic force ±{ranges.force:.0%}, air gap ±{ranges.air_gap:.0%}, "
-        f"friction × or ÷ {ranges.friction:g}, sensor noise to {ranges.sensor_noise:g} counts RMS, "
+        f"friction × or ÷ {ranges.friction:g}, amplifier × or ÷ {ranges.amplifier:g}, "
+        f"sensor noise to {ranges.sensor_noise:g} counts RMS, "
         f"delay × {ranges.shortest_delay:g} to {ranges.longest_delay:g}, jitter ±{ranges.jitter:g} samples, "
         f"survey error {ranges.map_noise * 1e6:g} µm RMS"
     )

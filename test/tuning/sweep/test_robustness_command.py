@@ -36,9 +36,10 @@ def test_json_holds_the_figures_of_each_law_and_the_plot_is_written(robustness, 
 
 def test_the_table_names_the_laws_what_they_ran_under_and_how_to_run_an_outlier_alone(robustness, monkeypatch):
     monkeypatch.setattr("straightcomp_ros.tuning.sweep.trial.OUTLIER", 0.5)
-    code, out, _ = robustness("--law", "smc", "--trials", 2, "--set", "stage.uncertainty.mass=0.3")
-    printed = " ".join(out.split())
-    assert code == 0 and all(text in printed for text in ("smc", "mass ±30%", "not in order", "--machine"))
+    ranges = "--set", "stage.uncertainty.mass=0.3", "--set", "stage.uncertainty.amplifier=1.1"
+    code, out, _ = robustness("--law", "smc", "--trials", 2, *ranges)
+    printed, conditions = " ".join(out.split()), ("mass ±30%", "amplifier × or ÷ 1.1")
+    assert code == 0 and all(text in printed for text in ("smc", *conditions, "not in order", "--machine"))
     assert re.search(r"times its median: machine [01] \(", printed)
 
 
