@@ -3,8 +3,9 @@
 Times scale with the loop's dead time T_d (:mod:`straightcomp_ros.stage.description`): a gain that is a rate is a
 constant over T_d. The constants were found by a search on the shipped stage.
 
-Two parameters of `smc_observer` are not searched, since they follow from the stage:
+Three parameters of `smc_observer` are not searched, since they follow from the stage:
 
+- Delay: a little less than that of the commands.
 - First size of friction: the smallest that the uncertainty allows. Too much friction in the law makes limit cycles, too
   little leaves an error at the first reversals, until the fit has seen one: the more friction, the larger the error.
 - Memory of the fit: many reversals of the reference. Before the first reversal friction and a constant force look
