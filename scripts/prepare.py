@@ -32,16 +32,13 @@ def main() -> None:
         done = [processes.submit(prepare) for prepare in (prepare_plant, prepare_all)]
         compileall.compile_dir(str(Path(straightcomp_ros.__file__).parent), quiet=1)
         # An import writes bytecode; that of matplotlib makes its list of fonts too.
-        for module in ("matplotlib.font_manager", *(one.name for one in _modules())):
+        modules = pkgutil.walk_packages(straightcomp_ros.__path__, "straightcomp_ros.", onerror=lambda name: None)
+        for module in ("matplotlib.font_manager", *(one.name for one in modules)):
             # What only an extra, or ROS, brings is not there everywhere.
             with contextlib.suppress(ImportError):
                 importlib.import_module(module)
         for one in done:
             one.result()
-
-
-def _modules() -> list[pkgutil.ModuleInfo]:
-    return list(pkgutil.walk_packages(straightcomp_ros.__path__, "straightcomp_ros.", onerror=lambda name: None))
 
 
 if __name__ == "__main__":

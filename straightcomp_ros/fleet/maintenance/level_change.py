@@ -110,8 +110,7 @@ def changes_of_figure(levels: Array, watched: Watched) -> list[LevelChange]:
         begin = min(start + begin, found)
         last = slice(max(begin, stop - WEEK), stop)
         days, after = tuple(known[last].tolist()), float(np.median(values[last]))
-        ended = None if ended is None else int(known[ended])
-        when = (int(known[begin]), int(known[found]), ended)
+        when = (int(known[begin]), int(known[found]), None if ended is None else int(known[ended]))
         changes.append(LevelChange(watched.name, *when, baseline.centre, days, after, step))
         start = stop
     return changes
