@@ -51,13 +51,7 @@ from straightcomp_ros.tuning.frequency_response.measured_response import (
     ResponseMargins,
     measure_simulated,
 )
-from straightcomp_ros.tuning.identification.estimate import (
-    DERIVED,
-    POOR,
-    Estimate,
-    estimate_from_bag,
-    excitation,
-)
+from straightcomp_ros.tuning.identification.estimate import DERIVED, POOR, Estimate, estimate_from_bag, excitation
 
 LAW = "smc_observer"
 LEAST_PHASE, LEAST_GAIN = 10.0, 1.3

@@ -28,12 +28,7 @@ from straightcomp_ros.parameters.output_files import making
 from straightcomp_ros.straightness.survey import Survey, read_survey
 from straightcomp_ros.tuning.commissioning import LEARNED, MADE, STEP_NAMES
 from straightcomp_ros.tuning.survey.survey_check import LEAST_POINTS, WIDEST_GAP
-from straightcomp_ros.tuning.verbs import (
-    RUNNING,
-    add_graph_option,
-    graph_access,
-    refuse_parameters_of_running,
-)
+from straightcomp_ros.tuning.verbs import RUNNING, add_graph_option, graph_access, refuse_parameters_of_running
 
 SUMMARY = "measure, tune and verify a stage, step by step"
 PURPOSE = "tune"

@@ -12,14 +12,7 @@ from shlex import quote
 from typing import Any
 
 from straightcomp_ros.analysis.figure_words import with_digits
-from straightcomp_ros.cli.options import (
-    add_force,
-    add_json,
-    add_stage_argument,
-    check_range,
-    output_file,
-    stage_values,
-)
+from straightcomp_ros.cli.options import add_force, add_json, add_stage_argument, check_range, output_file, stage_values
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, progress_bar
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
