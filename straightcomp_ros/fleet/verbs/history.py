@@ -11,7 +11,7 @@ import os
 import shlex
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict
 from datetime import date, datetime, timezone
 from decimal import Decimal
@@ -82,13 +82,13 @@ def _add(options: argparse.Namespace) -> None:
     named, refused = set(), set()
     for url in options.bags:
         first = next(bags_in(url), None)
-        if first is None and not options.follow:
+        if first is not None:
+            named |= {first.location} & {url.rstrip("/"), os.path.abspath(url)}
+        elif not options.follow:
             raise CommandFailed(f"{url}: no bag is there; allowed: a bag, or a folder with bags below it", exit_code=2)
-        named |= {first.location} & {url.rstrip("/"), os.path.abspath(url)} if first else set()
-
     workers = {"jobs": options.jobs or -1, "dask": options.dask}
     # Ctrl-C is the usual end of --follow.
-    with progress_bar() as bar, suppress(*[KeyboardInterrupt] * options.follow):
+    with progress_bar() as bar, suppress(KeyboardInterrupt) if options.follow else nullcontext():
         task = bar.add_task("looking for bags", total=None)
         while True:
             found = chain.from_iterable(map(bags_in, options.bags))

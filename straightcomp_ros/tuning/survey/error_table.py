@@ -1,6 +1,7 @@
 """What the formats of controllers and instruments share: their conventions, and a survey as a list of points."""
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -34,8 +35,7 @@ class Conventions:
     error: str = "EYX"
 
     def __post_init__(self) -> None:
-        moved, axis = self.error[1:2], self.error[2:3]
-        if not (len(self.error) == 3 and self.error[0] == "E" and {moved, axis} <= set("XYZ") and moved != axis):
+        if not re.fullmatch(r"E([XYZ])(?!\1)[XYZ]", self.error):
             raise SurveyError(
                 f"error {self.error!r}: is no straightness; allowed: E, the axis of the error and the axis that moves, "
                 "two of X, Y and Z: EYX, EZX, …"

@@ -110,7 +110,7 @@ def read_pos(path: Path, conventions: Conventions) -> Survey:
         raise SurveyError(f"survey {path}: has no block 'Position … Avg Error'; is it API's .pos file?")
     forward, backward = (sorted(blocks.get(way) or ()) for way in WAYS)
     if not forward or not backward:
-        name = "bidirectional" if blocks.get("bidirectional") else "forward" if forward else "backward"
+        name = next(one for one in ("bidirectional", *WAYS) if blocks.get(one))
         return survey_of(f"survey {path}, {name}", blocks[name], (DIRECTIONS.get(name, "forward"),))
     positions, ours = [x for x, _ in forward], [x for x, _ in backward]
     if len(positions) != len(ours) or not np.allclose(positions, ours, rtol=0.0, atol=1e-7):
