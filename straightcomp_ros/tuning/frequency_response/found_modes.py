@@ -210,19 +210,19 @@ def found_plant(
     variance = np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * 2.0 * best.cost / freedom
     # Of what the lines hardly determine, rounding may leave less than nothing.
     spread = np.minimum(2.0 * np.sqrt(np.where(variance > 0.0, variance, np.inf)), 10.0)
-    log_g, dg = best.x[0], spread[0]
-    gain = Interval(*(math.exp(x) for x in (log_g, log_g - dg, log_g + dg)))
+
+    def positive(place: int, model: float = 0.0) -> Interval:
+        """What a logarithm says, which the ``model`` itself is off by."""
+        log, half = best.x[place], math.hypot(spread[place], model)
+        return Interval(*(math.exp(x) for x in (log, log - half, log + half)))
+
+    places = range(_RIGID, best.x.size, 3)
+    frequencies_found = [positive(k, _FOLDED) for k in places]
     found = []
-    for k in range(_RIGID, best.x.size, 3):
-        (log_f, log_z, r), (df, dz, dr) = best.x[k : k + 3], spread[k : k + 3]
-        df, dz = math.hypot(df, _FOLDED), math.hypot(dz, _FOLDED_DAMPING)
-        frequency = Interval(*(math.exp(x) for x in (log_f, log_f - df, log_f + df)))
-        damping_ratio = Interval(*(math.exp(x) for x in (log_z, log_z - dz, log_z + dz)))
-        residues = Interval(float(r), float(r - dr), float(r + dr))
-        found.append(FoundMode(frequency, damping_ratio, residues, ""))
-    names = _described([mode.frequency for mode in found], stage)
-    named = (mode._replace(described=name) for mode, name in zip(found, names, strict=True))
-    return FoundPlant(gain, tuple(sorted(named)))
+    for k, frequency, name in zip(places, frequencies_found, _described(frequencies_found, stage), strict=True):
+        r, dr = float(best.x[k + 2]), float(spread[k + 2])
+        found.append(FoundMode(frequency, positive(k + 1, _FOLDED_DAMPING), Interval(r, r - dr, r + dr), name))
+    return FoundPlant(positive(0), tuple(sorted(found)))
 
 
 def _described(found: Sequence[Interval], stage: StageParameters) -> list[str]:
