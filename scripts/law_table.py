@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from straightcomp_ros.analysis.metrics import evaluate
+from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import LAWS, make_law
 from straightcomp_ros.control.margins import loop_margins
@@ -61,15 +62,11 @@ _FIGURES = {
 """By name the figure of `Metrics.to_display`, and its factor."""
 
 
-class InputError(ValueError):
-    """The file of the sweep is refused; the message says why."""
-
-
 def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
     """By law what `straightcomp robustness --json` says of it.
 
     Raises:
-        InputError: the file cannot be read, or is no such result.
+        CommandFailed: the file cannot be read, or is no such result.
     """
     try:
         laws = json.loads(path.read_text("utf-8"))["laws"]
@@ -81,9 +78,9 @@ def read_robustness(path: Path) -> dict[str, dict[str, Any]]:
             for law, summary in laws.items()
         }
     except OSError as error:
-        raise InputError(f"file {path}: {error.strerror}") from error
+        raise CommandFailed(f"file {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"file {path}: is no result of 'straightcomp robustness --json' ({error!r})") from error
+        raise CommandFailed(f"file {path}: is no result of 'straightcomp robustness --json' ({error!r})") from error
 
 
 def law_of(values: Values) -> Law:
@@ -205,7 +202,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         robustness = read_robustness(options.robustness) if options.robustness else {}
-    except InputError as error:
+    except CommandFailed as error:
         print(error, file=sys.stderr)
         return 2
     table = rows(shipped_parameters(), robustness)

@@ -43,6 +43,7 @@ from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_par
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import DEFAULT_STAGE, as_yaml
 from straightcomp_ros.stage.description import StageParameters
+from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.tuning.identification.estimate import (
     UNITS,
@@ -81,8 +82,7 @@ def run(options: argparse.Namespace) -> None:
         stage = node_parameters("driver", chosen_parameters(options)).stage
         file = output_file(options, "--excitation")
         waves, facts = excitation(stage)
-        deviation = waves.runs[0].deviation
-        half = 0.5 * float(deviation.max() - deviation.min())
+        half = 0.5 * peak_to_peak(waves.runs[0].deviation)
         moves = f"The platform moves up to {half * 1e6:.0f} um to each side."
         write_survey(file, waves, (*_EXCITATION_COMMENTS, moves))
         if not options.json:
