@@ -95,7 +95,7 @@ def rows_of(evaluation: BagEvaluation, facts: Mapping[str, Any], zero: timedelta
         name = f"{stated.when}_{stated.line}_U_um"
         uncertainties.setdefault(stated.direction, {})[name] = _known(stated.expanded_uncertainty * 1e6)
     after = standstill_figures(record, record.reference)
-    rows = []
+    rows: list[StrokeRow] = []
     for stroke, (begin, end), until_ns, rest in zip(strokes, times, until, after, strict=True):
         columns = _columns(evaluation, stroke, (begin, end), until_ns) | uncertainties.get(stroke.direction, {})
         columns |= {name: _known(value) for name, value in rest.to_display().items()}
