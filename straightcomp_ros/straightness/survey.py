@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.survey_table import (
+    ALLOWED_WAYS,
     DEVIATION,
     MARK,
     RUN_COLUMN,
@@ -114,10 +115,7 @@ def _survey_of(
     for line, cells, x, deviation in table.rows:
         word = cells.get("direction", "").lower()
         if "direction" in cells and word not in WAYS_IN_CELLS:
-            raise SurveyError(
-                f"survey {path}, line {line}: direction {word!r}; allowed: forward or backward, fwd or bwd, reverse, f "
-                "or b, r, + or -, 1 or -1"
-            )
+            raise SurveyError(f"survey {path}, line {line}: direction {word!r}; allowed: {ALLOWED_WAYS}")
         direction = WAYS_IN_CELLS.get(word)
         key = (cells.get("run", cells.get(RUN_COLUMN, "1")), direction)
         groups.setdefault(key, []).append((line, x, deviation))

@@ -133,6 +133,9 @@ WAYS_IN_CELLS: dict[str, Direction] = {
     **dict.fromkeys(["b", "r", "-", "\u2212", "-1", "\u22121"], "backward"),
 }
 """What a cell of the column of directions may say too."""
+ALLOWED_WAYS = "forward or backward, fwd or bwd, reverse, f or b, r, + or -, 1 or -1"
+_OF_DIRECTIONS = re.compile(r"(?<![a-z])dir|richtung|(?<![a-z])sens(?![a-z])|approach")
+"""What is in the name of a column of directions."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
 _BEHIND = "|".join([*DIRECTIONS, *_RUN_WORDS, "back", "forth", "return"])
@@ -250,7 +253,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         at = number(where, x, cells[x]) / X.columns[x]
         found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
     # A recording over time may have a sign of the speed in each row.
-    header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header, found)
+    header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header_line, header, found)
     return Table(header, (x, deviation), found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
 
 
@@ -452,25 +455,50 @@ def _a_row_for_each(
     return [*(header[at] for at in shared), RUN_COLUMN, "direction" if way else "", unit], found
 
 
-def _with_direction(header: list[str], rows: Sequence[Row]) -> list[str]:
+def _with_direction(where: str, header: list[str], rows: Sequence[Row]) -> list[str]:
     """The header, and the cells, with the name ``direction`` for the first column that has a direction in each row, and
-    both in all, if x goes the same way in both: else these would be taken for runs of one direction.
+    both in all, if x goes the same way in both: else these would be taken for runs of one direction. A column ``run``
+    that has more in its cells keeps its name too. SurveyError for other words in a column of directions.
 
     Where x turns, its trend is the direction: an instrument may call the way on which x falls forward, or the column
     may say how a single point was approached.
     """
     for at, name in enumerate(header):
-        words = WAYS_IN_CELLS if name.startswith("dir") else DIRECTIONS
-        ways = [words.get(row.cells[name].lower()) for row in rows]
-        if {*ways} == {*WAYS}:
-            both = [[row.x for row, one in zip(rows, ways, strict=True) if one == way] for way in WAYS]
-            there, back = (sum((b > a) - (b < a) for a, b in itertools.pairwise(x)) for x in both)
-            shared = min(map(max, both)) - max(map(min, both))
-            if there * back > 0 and shared > (max(map(max, both)) - min(map(min, both))) / 2.0:
-                for row in rows:
-                    row.cells["direction"] = row.cells.pop(name)
-                return [*header[:at], "direction", *header[at + 1 :]]
+        of_directions = _OF_DIRECTIONS.search(name)
+        words = WAYS_IN_CELLS if of_directions else DIRECTIONS
+        # Of a column of numbers one cell is enough.
+        if not (of_directions or any(_way(row.cells[name], words) for row in rows[:1])):
+            continue
+        cells = [row.cells[name].lower() for row in rows]
+        ways = {cell: _way(cell, words) for cell in dict.fromkeys(cells)}
+        known = {*ways.values()} == {*WAYS}
+        passages: dict[str, list[float]] = {}
+        # A spreadsheet leaves the cells below the first of a run empty.
+        for row, cell in zip(rows, itertools.accumulate(cells, lambda last, cell: cell or last), strict=True):
+            passages.setdefault(ways[cell] or cell, []).append(row.x)
+        trends = [sum((b > a) - (b < a) for a, b in itertools.pairwise(x)) for x in passages.values()]
+        lows, highs = ([of(x) for x in passages.values()] for of in (min, max))
+        shared = len(passages) > 1 and min(highs) - max(lows) > (max(highs) - min(lows)) / 2.0
+        if not (known or of_directions) or not shared or min(trends) * max(trends) <= 0:
+            continue
+        if not known:
+            raise SurveyError(
+                f"{where}: column '{name}' says {' and '.join(map(repr, [*ways][:2]))} where x goes the same way; "
+                f"allowed in each row: {ALLOWED_WAYS}"
+            )
+        kept = name == "run" and len(ways) > len(WAYS)
+        for row, cell in zip(rows, cells, strict=True):
+            row.cells["direction"] = ways[cell] or ""
+            if not kept:
+                del row.cells[name]
+        return [*header, "direction"] if kept else [*header[:at], "direction", *header[at + 1 :]]
     return header
+
+
+def _way(cell: str, words: Mapping[str, Direction]) -> str | None:
+    """The direction that a cell says by one of ``words``, or as the name of a run (``1 forward``, ``Run 2-``)."""
+    run = _RUN.fullmatch(_of_run(f"{cell} m"))
+    return words.get(cell.lower()) or (run[2] if run else None)
 
 
 def _spelled(name: str) -> str:

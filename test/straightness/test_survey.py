@@ -117,6 +117,17 @@ TURNS = THERE + THERE[-2::-1]
         ("x_mm,deviation_um", _rows([*OUT, *BACK[:5]], ""), "x·repeats:·600·mm"),
         ("direction,x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], "fwd,"), "x·turns·back:·300·mm"),
         ("run,x_mm,deviation_um", _rows([*OUT, *BACK, *OUT], "1,"), "x·repeats:·600·mm"),
+        # Other words for directions, and cells that a spreadsheet merges.
+        (
+            "Richtung,x_mm,deviation_um",
+            _rows(OUT, "hin,") + _rows(OUT, "zurück,"),
+            "'richtung'·says·'hin'·and·'zurück'",
+        ),
+        (
+            "Dir,x_mm,deviation_um",
+            [row for way in "FR" for row in _rows([0], f"{way},") + _rows(OUT[1:], ",")],
+            "'dir'·says·'f'·and·''",
+        ),
         # Columns that need not be runs.
         *(
             (f"x_mm,{names}", THREE, "no·column·for·deviation")
@@ -233,7 +244,16 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
         ("direction,", [("fwd,", OUT), ("BWD,", BACK)] * 2, WAYS[::2] + WAYS[1::2]),
         ("direction,", [("+,", OUT), ("\u2212,", BACK)], WAYS[:2]),
         # Sorted by x, the column alone says the direction.
-        *((f"{one},", [("F,", OUT), ("R,", OUT)] * 2, WAYS[::2] + WAYS[1::2]) for one in ("Dir", "Direction of x")),
+        *(
+            (f"{one},", [("F,", OUT), ("R,", OUT)] * 2, WAYS[::2] + WAYS[1::2])
+            for one in ("Dir", "Direction of x", "Travel direction", "Fahrtrichtung")
+        ),
+        (
+            "run,",
+            [("1+,", OUT), ("1-,", OUT), ("2+,", OUT)],
+            [("1+", "forward"), ("1-", "backward"), ("2+", "forward")],
+        ),
+        ("Cycle,", [("1 fwd,", OUT), ("1 bwd,", OUT)], WAYS[:2]),
         ("dir,", [("1,", OUT), ("-1,", OUT)], WAYS[:2]),
         ("Approach,", [("forward,", OUT), ("reverse,", OUT)], WAYS[:2]),
         ("Passed,", [("+,", OUT), ("-,", BACK), ("+,", OUT)], [*WAYS[:2], WAYS[2]]),
