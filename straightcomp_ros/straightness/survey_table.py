@@ -124,21 +124,23 @@ _NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METR
 _RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
 """What the column of one run may be called, with its number, its direction or both."""
 DIRECTIONS: dict[str, Direction] = {
-    **dict.fromkeys(["forward", "fwd"], "forward"),
-    **dict.fromkeys(["backward", "bwd", "reverse"], "backward"),
+    **dict.fromkeys(["forward", "forwards", "fwd"], "forward"),
+    **dict.fromkeys(["backward", "backwards", "bwd", "reverse", "rev"], "backward"),
 }
+_VAGUE_WAYS = {"back", "bkwd", "forth", "rearward", "return", "reversed"}
+"""Words for a direction that may mean either, or something else."""
 WAYS_IN_CELLS: dict[str, Direction] = {
     **DIRECTIONS,
-    **dict.fromkeys(["f", "+", "1", "+1"], "forward"),
-    **dict.fromkeys(["b", "r", "-", "\u2212", "-1", "\u22121"], "backward"),
+    **dict.fromkeys(["f", "+", "1", "+1", "1.0"], "forward"),
+    **dict.fromkeys(["b", "r", "-", "\u2212", "-1", "\u22121", "-1.0"], "backward"),
 }
 """What a cell of the column of directions may say too."""
-ALLOWED_WAYS = "forward or backward, fwd or bwd, reverse, f or b, r, + or -, 1 or -1"
+ALLOWED_WAYS = "forward or backward, fwd or bwd, reverse or rev, f or b, r, + or -, 1 or -1"
 _OF_DIRECTIONS = re.compile(r"(?<![a-z])dir|richtung|(?<![a-z])sens(?![a-z])|approach")
 """What is in the name of a column of directions."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
-_BEHIND = "|".join([*DIRECTIONS, *_RUN_WORDS, "back", "forth", "return"])
+_BEHIND = "|".join([*DIRECTIONS, *_RUN_WORDS, *_VAGUE_WAYS])
 _UNIT_WITHIN = re.compile(
     rf"(.*?)\s*([\[(]\s*(?:{'|'.join(PER_METRE)})\s*[\])])\s*(?=\S)([+-]?)((?:[\W\d_]|{_BEHIND})*)$"
 )
@@ -356,7 +358,7 @@ def _parts_of_run(name: str) -> tuple[str, list[str], list[str]]:
     words = re.sub(r"(?<=\d)[+-]$", lambda sign: _SIGNS[sign[0]], words)
     # A difference of runs, a mean or a deviation of them says so by a second number, a sign or a word.
     parts = re.findall(r"\d+|[^\W\d_]+|[^\s\w.#-]", words)
-    if not unit or not {*DIRECTIONS, *_RUN_WORDS}.intersection(parts):
+    if not unit or not {*DIRECTIONS, *_RUN_WORDS, *_VAGUE_WAYS}.intersection(parts):
         return "", [], []
     others = [part for part in parts if part not in {*DIRECTIONS, *_RUN_WORDS, "deviation", "straightness"}]
     return unit, [DIRECTIONS[part] for part in parts if part in DIRECTIONS], others
@@ -384,8 +386,7 @@ def _unit_of_run(name: str) -> str | None:
     if (unit := _RUN.sub(lambda run: run[1].partition("_")[2], name).strip("[]()_ ")) in PER_METRE:
         return unit
     words, unit = _name_and_unit(name)
-    # Some words for a direction may mean either.
-    words = re.sub(r"(?<![a-z])(?:back|forth|return)(?![a-z])", "", words or _UNKNOWN_UNIT.sub("", name))
+    words = re.sub(rf"(?<![a-z])(?:{'|'.join(_VAGUE_WAYS)})(?![a-z])", "", words or _UNKNOWN_UNIT.sub("", name))
     return unit if re.search(r"\d|ward", _of_run(f"{words} m")) else None
 
 

@@ -144,7 +144,7 @@ TURNS = THERE + THERE[-2::-1]
         ),
         *(
             (f"x_mm,Run 1 (µm),{beside} (µm)", THREE, f"line·1 column·'{beside.lower().replace(' ', '·')} may·be·a·run")
-            for beside in ("Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again")
+            for beside in ("Run 2 back", "Run 1 \u2193", "Run 2 +", "fwd run again", "Return 1", "Back")
         ),
         ("x_mm,Run 1 (µm),Run 1 (µm) back", THREE, "line·1 column·'run·1·back·(um)'·may·be·a·run"),
         ("x_mm,Run 1 [µm],Run 2", THREE, "line·1 column·'run·2' may·be·a·run·and·has·no·unit"),
@@ -254,6 +254,7 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
             [("1+", "forward"), ("1-", "backward"), ("2+", "forward")],
         ),
         ("Cycle,", [("1 fwd,", OUT), ("1 bwd,", OUT)], WAYS[:2]),
+        *((f"{one},", [("1.0,", OUT), ("-1.0,", OUT)], WAYS[:2]) for one in ("dir", "direction")),
         ("dir,", [("1,", OUT), ("-1,", OUT)], WAYS[:2]),
         ("Approach,", [("forward,", OUT), ("reverse,", OUT)], WAYS[:2]),
         ("Passed,", [("+,", OUT), ("-,", BACK), ("+,", OUT)], [*WAYS[:2], WAYS[2]]),
@@ -284,6 +285,8 @@ def test_a_direction_that_only_a_part_of_x_has_is_none_of_the_runs(read):
         ("x_mm,Run 1 fwd (\u00b5m),Run 1 backward (\u00b5m)", False, WAYS[:2]),
         ("Position,1 Forward,1 bwd\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
         ("x_mm,Run 1+ (\u00b5m),Run 1- (\u00b5m)", False, WAYS[:2]),
+        ("x_mm,Fwd 1 (\u00b5m),Rev 1 (\u00b5m)", False, WAYS[:2]),
+        ("x_mm,Forwards (\u00b5m),Backwards (\u00b5m)", False, WAYS[:2]),
         ("Position,1+,1\u2212\nmm,\u00b5m,\u00b5m", False, WAYS[:2]),
         ("x_mm,1 forward (\u00b5m),1 reverse (\u00b5m)", False, WAYS[:2]),
         ("x_mm,Straightness (\u00b5m) run 1,Straightness (\u00b5m) run 2", False, WAYS[::2]),
