@@ -272,6 +272,13 @@ def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, 
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
 
 
+@pytest.mark.parametrize("name", ["run", "Run No.", "Cycle"])
+def test_runs_that_take_turns_in_a_file_sorted_by_x_are_known_by_their_column(read, name):
+    rows = [f"{number},{way},{x + number / 1e3},{x % 7}" for x in OUT for number in (1, 2) for way in "FR"]
+    runs = read(f"{name},Dir,x_mm,deviation_um", *rows).runs
+    assert [(run.name, run.direction, run.x.size) for run in runs] == [(*way, len(OUT)) for way in WAYS]
+
+
 def test_a_direction_that_only_a_part_of_x_has_is_none_of_the_runs(read):
     (run,) = read("Probe,x_mm,deviation_um", *_rows(OUT[:10], "fwd,"), *_rows(OUT[10:], "bwd,")).runs
     assert run.x.size == len(OUT)
