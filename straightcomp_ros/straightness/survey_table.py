@@ -356,7 +356,9 @@ def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     found = []
     for cell in names:
         name = _spelled(cell)
-        quantity, _, unit = name.rpartition("_")
+        # Programs number the second of two equal names: deviation_um.1.
+        first = _spelled(re.sub(r"\.\d+$", "", cell.strip()))
+        quantity, _, unit = (first if first.startswith(("deviation_", "straightness_")) else name).rpartition("_")
         quantity = _SYNONYMS.get(quantity, quantity)
         usual = f"{quantity}_{unit}" if unit in PER_METRE else name
         other = f"({usual})" if unit in PER_METRE and quantity in chosen else usual

@@ -517,6 +517,8 @@ def test_a_mark_that_a_number_has_twice_separates_thousands(read, written):
     [
         csv("Position (mm);Straightness (µm)", lambda v: f"{v};{v}").replace("(µm)", "(µm);Straightness (µm)", 1),
         csv("x_mm;deviation_um", lambda v: f"{v};{v}").replace("deviation_um", "deviation_um;Straightness [nm]", 1),
+        csv("x_mm;deviation_um;deviation_um.1", lambda v: f"{v};{v}"),
+        csv("x_mm;Straightness (µm);Straightness (µm).1", lambda v: f"{v};{v}"),
         csv("Target (mm);deviation_um", lambda v: f"{v};{v}").replace("Target (mm)", "Target (mm);Position (mm)", 1),
         csv("x_mm;deviation_nm", lambda v: german(v * 1e3, 0)).replace("10;", "10,5;", 1).replace("20;", "20.5;", 1),
         csv("x_mm;deviation_nm", lambda v: german(abs(v) * 1e3, 0)),
