@@ -230,7 +230,9 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         ) from error
     positions = {x.partition("_")[2]} - {deviation.partition("_")[2]}
     known = bool(runs) or deviation in own.values() or {"run", "direction"} <= {*header}
-    if not known and sum(_unit_of_run(name) not in (None, *positions) for name in header) > 1:
+    of_runs = [name for name in header if _unit_of_run(name) not in (None, *positions)]
+    # The mean of one direction is no deviation: that is the other one.
+    if not known and (len(of_runs) > 1 or any("ward run" in name for name in of_runs)):
         raise SurveyError(
             f"{header_line}: {deviation} stands among columns of runs; remove it, or choose it by --deviation-column"
         )

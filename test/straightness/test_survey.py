@@ -170,6 +170,7 @@ TURNS = THERE + THERE[-2::-1]
                     "Remark,Deviation (µm),Forward (µm),Backward (µm)",
                 ),
                 *("Direction,Run 1 (µm),Run 2 (µm),Deviation (µm)", "Run,Run 1 (µm),Run 2 (µm),Deviation (µm)"),
+                *("Remark,Run,Deviation (µm),Deviation backward (µm)", "Remark,Run,Forward (µm),Straightness (µm)"),
                 *("Remark,Run 1,Run 2,Deviation (µm)", "Remark,Run 1 back (µm),Run 1 forth (µm),Deviation (µm)"),
             )
         ),
