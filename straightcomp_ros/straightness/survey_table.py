@@ -138,7 +138,7 @@ WAYS_IN_CELLS: dict[str, Direction] = {
 }
 """What a cell of the column of directions may say too."""
 ALLOWED_WAYS = "forward or backward, fwd or bwd, reverse or rev, f or b, r, + or -, 1 or -1"
-_OF_DIRECTIONS = re.compile(r"(?<![a-z])dir|richtung|(?<![a-z])sens(?![a-z])|approach")
+_OF_DIRECTIONS = re.compile(r"(?<![a-z])dir|richtung|(?<![a-z])sens(?![a-z])")
 """What is in the name of a column of directions."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
@@ -512,7 +512,8 @@ def _with_direction(where: str, header: list[str], rows: Sequence[Row]) -> list[
         known = {*ways.values()} == {*WAYS}
         passages: dict[str, list[float]] = {}
         # A spreadsheet leaves the cells below the first of a run empty.
-        for row, cell in zip(rows, itertools.accumulate(cells, lambda last, cell: cell or last), strict=True):
+        filled: Iterator[str] = itertools.accumulate(cells, lambda last, cell: cell or last)
+        for row, cell in zip(rows, filled, strict=True):
             passages.setdefault(ways[cell] or cell, []).append(row.x)
         trends = [sum((b > a) - (b < a) for a, b in itertools.pairwise(x)) for x in passages.values()]
         lows, highs = ([of(x) for x in passages.values()] for of in (min, max))
