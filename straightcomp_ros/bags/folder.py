@@ -155,8 +155,7 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
         raise BagError(f"bag {bag}: {compressed_messages(str(information.get('compression_format')))}")
     listed = _listed(information)
     if not files.keys().isdisjoint(listed):
-        others = ", ".join(sorted(files.keys() - set(listed)))
-        if others:
+        if others := ", ".join(sorted(files.keys() - set(listed))):
             warnings.warn(f"bag {bag}: metadata.yaml does not list {others}: not read", stacklevel=3)
         return [files[name] for name in listed if name in files], [name for name in listed if name not in files]
     found = sorted(files.values(), key=split_number)

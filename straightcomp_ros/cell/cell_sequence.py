@@ -247,8 +247,7 @@ class CellSequence:
         an empty text, now or when the node has answered.
         """
         middle = bool(argument) and order is Order.CENTER
-        reason = refusal(order, self.state) or self._order_refusal(order, argument)
-        if reason:
+        if reason := refusal(order, self.state) or self._order_refusal(order, argument):
             self.message = reason
             then(reason)
             return

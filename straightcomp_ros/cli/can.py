@@ -151,8 +151,7 @@ def _without_frames(frames: Iterable[Any], parameters: Any) -> str:
 
     if not parameters.dbc:
         other = dataclasses.replace(parameters, fd=not parameters.fd).make_wire()
-        seen = sorted({frame.arbitration_id for frame in of_the_board(frames, other.reports)})
-        if seen:
+        if seen := sorted({frame.arbitration_id for frame in of_the_board(frames, other.reports)}):
             bus = "CAN FD" if other.fd else "the classic bus"
             names = ", ".join(f"{one:#x}" for one in seen)
             return f"has frames of {bus} ({names}), but can.fd is {str(parameters.fd).lower()}"

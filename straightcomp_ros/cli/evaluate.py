@@ -182,6 +182,5 @@ def _print_straightness(assessment: Assessment, words: Mapping[str, Any]) -> Non
         name = f"{what.split(',')[0]}_um"
         table.add_row(what, *(marked(name, cell or "", words) for cell in cells))
     console.print(table)
-    unknown = dict.fromkeys(name for one in assessment.straightness for name in one["unknown"])
-    if unknown:
+    if unknown := dict.fromkeys(name for one in assessment.straightness for name in one["unknown"]):
         notes.print(f"not known, and not in U: {', '.join(unknown)} (repeatability takes two strokes each way)")

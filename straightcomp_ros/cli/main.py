@@ -109,8 +109,7 @@ def main(
         name = f"{error.filename}: " if error.filename else ""
         return _ended(words, f"{name}{error.strerror or error}", 1)
     except Exception as error:
-        missing = _missing(error, found[named]) if named else None
-        if missing:
+        if named and (missing := _missing(error, found[named])):
             return _ended(words, missing, 2)
         # The message of an error of the package is for the user; any other error is a bug and shows its traceback.
         if not type(error).__module__.startswith(f"{PACKAGE}."):

@@ -136,8 +136,7 @@ class ControllerComponent:
 
     def _made(self, parameters: ControllerNodeParameters) -> Law:
         """The law of these parameters; ParameterError if it lacks a margin that they require, or cannot be made."""
-        missing = missing_margin(parameters.control, parameters.stage)
-        if missing is not None:
+        if missing := missing_margin(parameters.control, parameters.stage):
             if parameters.control.margins == "require":
                 raise ParameterError(f"{missing}; 'control.margins' set to 'warn' uses these")
             self._node.get_logger().warning(missing)
@@ -201,8 +200,7 @@ class ControllerComponent:
                 self._refused += 1
             else:
                 answers.append((stamp_ns, command, age_ns * 1e-9))
-                finding = self._error_watch.check(command.error, amplifier_on=self._servo.running)
-                if finding is not None:
+                if finding := self._error_watch.check(command.error, amplifier_on=self._servo.running):
                     self._trip(*finding)
         self._excitation.look()
         return answers

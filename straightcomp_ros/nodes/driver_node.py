@@ -183,8 +183,7 @@ class DriverComponent:
             self._hardware.start(from_monotonic(wake_ns))
             self._started = True
         now, system_now = now_ns(), self._system_ns()
-        finding = self._clock_watch.check(now, system_now)
-        if finding is not None:
+        if finding := self._clock_watch.check(now, system_now):
             self._trip(*finding)
         # A simulated machine is integrated up to ``now``, with each command acting from its arrival.
         self._fetch_commands(now, system_now)
@@ -239,8 +238,7 @@ class DriverComponent:
 
     def _hand_out(self, sample: Sample) -> float:
         """Publish the sample for the controller; return the time since it was taken, in s."""
-        finding = self._sample_watch.check(sample, self._hardware.applied_current)
-        if finding is not None:
+        if finding := self._sample_watch.check(sample, self._hardware.applied_current):
             self._trip(*finding)
         self._commands.hand_out(sample.stamp_ns)
         self._publish_sample(*sample[:3], math.nan, sample.current)

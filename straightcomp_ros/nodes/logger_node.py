@@ -304,8 +304,7 @@ class LoggerComponent:
 
     def _announce(self, topic: str) -> None:
         announced = self._silent.pop(topic)
-        publishers = self.node.get_publishers_info_by_topic(topic)
-        if publishers:
+        if publishers := self.node.get_publishers_info_by_topic(topic):
             announced = replace(announced, qos=stored([publisher.qos_profile for publisher in publishers]))
         self._recorder.announce(announced)
 

@@ -70,8 +70,7 @@ def replay_through_graph(
     output.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         values = {name: _of_no_machine(recorded.get(name, {}), Path(folder)) for name in _PLAYED_TO[:2]}
-        survey = replayed_map(bag, attachments, recorded, Path(folder))
-        if survey is not None:
+        if survey := replayed_map(bag, attachments, recorded, Path(folder)):
             values["feedforward"]["stage.guide.file"] = str(survey)
         values["controller"]["trigger"] = "lockstep"
         # No machine follows these commands.
@@ -103,8 +102,7 @@ def _of_no_machine(recorded: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     ``folder``.
     """
     values = {name: value for name, value in recorded.items() if not name.startswith("realtime.")}
-    learned = values.get(_LEARNED)
-    if learned:
+    if learned := values.get(_LEARNED):
         copy = folder / "learned.csv"
         if Path(str(learned)).is_file():
             shutil.copyfile(str(learned), copy)

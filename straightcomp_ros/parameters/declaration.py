@@ -71,8 +71,7 @@ class Declaration:
         ParameterError."""
         if not isinstance(value, bool) and isinstance(value, _NUMBERS.get(self.kind, ())):
             value = self.kind(value)
-        why = self._wrong(value)
-        if why:
+        if why := self._wrong(value):
             unit = f" {self.unit}" if self.unit else ""
             raise ParameterError(f"parameter '{self.name}': {value!r}{unit} {why}; allowed: {self.allowed()}{unit}")
         return value

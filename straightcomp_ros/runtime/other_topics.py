@@ -67,11 +67,10 @@ class OtherTopics:
     def _look(self) -> None:
         for name, types in self._node.get_topic_names_and_types():
             wanted = self._expected.get(name) in types or self._pattern.fullmatch(name)
-            if wanted and name not in self._settled:
-                publishers = self._node.get_publishers_info_by_topic(name)
-                if publishers:
-                    self._settled.add(name)
-                    self._subscribe(name, sorted(types), [publisher.qos_profile for publisher in publishers])
+            new = wanted and name not in self._settled
+            if new and (publishers := self._node.get_publishers_info_by_topic(name)):
+                self._settled.add(name)
+                self._subscribe(name, sorted(types), [publisher.qos_profile for publisher in publishers])
 
     def _subscribe(self, name: str, types: list[str], profiles: list[QoSProfile]) -> None:
         kind, reason, described = message_class(types[0]), "", None

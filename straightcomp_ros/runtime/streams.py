@@ -384,10 +384,8 @@ class Streams:
 
     def queue(self, stream: Stream) -> SubscriptionQueue | MemoryQueue:
         """The stream's messages, each as it was published."""
-        queue = self._in_memory(stream)
-        if queue is not None:
-            return queue
-        return SubscriptionQueue(self._node, stream, self.raw(message_class(stream.layout.type_name), stream.topic))
+        kind = message_class(stream.layout.type_name)
+        return self._in_memory(stream) or SubscriptionQueue(self._node, stream, self.raw(kind, stream.topic))
 
     def batches(self, stream: Stream) -> SubscriptionQueue | MemoryQueue:
         """The stream's messages, taken from its batches."""

@@ -101,8 +101,7 @@ class CanHardware(Hardware):
     def enable(self) -> None:
         if self.fault:
             raise HardwareError(f"a fault is latched: {self.fault[1]}")
-        refusal = self._not_ready(self._clock())
-        if refusal:
+        if refusal := self._not_ready(self._clock()):
             raise HardwareError(refusal)
         if not self._wanted:
             # The board switches on at an edge, so it must have seen "off" before.
@@ -265,8 +264,7 @@ class CanHardware(Hardware):
             words = f"the board reports: {self._wire.fault_words(code or 0)}"
             self._latch((Fault.BOARD, words) if named else _UNNAMED)
         if self._wanted:
-            found = self._finding(now_ns, reported)
-            if found is not None:
+            if found := self._finding(now_ns, reported):
                 self._latch(found)
         elif reported is not State.ON:
             # Should it switch on by itself, it has this long to obey.
@@ -322,8 +320,7 @@ class CanHardware(Hardware):
         operational = self._wire.meaning.heartbeat.operational_value
         if heartbeat and receiver.node_state != operational:
             return f"the board's heartbeat says state {receiver.node_state}, not {operational} (operational)"
-        silence = self._silence(now_ns)
-        if silence is not None:
+        if silence := self._silence(now_ns):
             return silence[1]
         return "" if self._wanted else _UNREADY.get(receiver.amplifier, "")
 

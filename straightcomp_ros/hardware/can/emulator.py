@@ -166,8 +166,7 @@ class Board:
         self.machine.write(current, at_ns, self._newest_ns - age * self.machine.period_ns)
 
     def _beat(self, state: int) -> None:
-        heartbeat = self._wire.heartbeat
-        if heartbeat:
+        if heartbeat := self._wire.heartbeat:
             self._send(heartbeat.identifier, heartbeat.pack((state,)), heartbeat.fd)
 
     def _send_sample(self, sample: Sample, truth: Truth) -> None:

@@ -153,15 +153,13 @@ class Receiver:
         self._said[frames.identifier] = said
         self._take_reference(report, arrival_ns)
         self._take_status(report, arrival_ns)
-        placed = None if report.counter is None else self.sequence.place(report.counter, arrival_ns)
-        if placed is not None:
+        if report.counter is not None and (placed := self.sequence.place(report.counter, arrival_ns)):
             self._place(*placed)
 
     def _receive_component(self, number: int, frames: Frames, payload: bytes, arrival_ns: int) -> None:
         """Take a frame with a component of a sample, whose others come in frames of other messages."""
         report = frames.unpack(payload)
-        whole = self.sets.add(number, report, report.number or 0, arrival_ns)
-        if whole is not None:
+        if whole := self.sets.add(number, report, report.number or 0, arrival_ns):
             self._take_sample(*whole)
 
     def _take_sample(self, report: Report, arrival_ns: int) -> None:
