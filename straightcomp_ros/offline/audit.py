@@ -125,8 +125,8 @@ def audit(
         # Of two samples or references with one stamp, nothing says which one the law took.
         sample = samples.get(stamp_ns) if stamp_ns not in disputed else None
         age_ns = round(numbers[-1] * 1e9) if math.isfinite(numbers[-1]) else -1
-        given_ns = stamp_ns - age_ns
-        reference = references.get(given_ns) if age_ns >= 0 and given_ns not in unclear else None
+        source_ns = stamp_ns - age_ns
+        reference = references.get(source_ns) if age_ns >= 0 and source_ns not in unclear else None
         if sample is None or reference is None:
             followed, last_ns = False, stamp_ns
             missing += 1
@@ -142,8 +142,8 @@ def audit(
         # Stamps may follow no clock (lockstep); the notice has the recorder's.
         if not followed or current is None or logged_ns > valid_ns:
             continue
-        given = (*current, *numbers[:-1], *others.get(stamp_ns, current))
-        pairs = zip(_COLUMNS, given, (*answer, answer[0]) if answer else (math.nan,) * len(given), strict=True)
+        logged = (*current, *numbers[:-1], *others.get(stamp_ns, current))
+        pairs = zip(_COLUMNS, logged, (*answer, answer[0]) if answer else (math.nan,) * len(logged), strict=True)
         # The texts are equal where the bits are, and for every NaN, which means "none" whatever its bits.
         found = next((Difference(step, stamp_ns, *pair) for pair in pairs if pair[1].hex() != pair[2].hex()), None)
         if found and unsure:

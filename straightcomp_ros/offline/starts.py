@@ -102,7 +102,7 @@ def values_of_starts(values: Values, count: int = STARTS) -> list[dict[str, Mapp
     """Parameters by node and dotted name for each start; the first are ``values`` themselves."""
     driver = values.get("driver", {})
     initial = float(driver.get("simulated.initial_y", 0.0))
-    return [{**values, "driver": {**driver, "simulated.initial_y": initial + offset}} for offset in offsets(count)]
+    return [{**values, "driver": {**driver, "simulated.initial_y": initial + one}} for one in offsets(count)]
 
 
 def can_run(values: Values) -> bool:

@@ -121,7 +121,7 @@ def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
     speed = (x[after] - x[before]) / np.maximum(time[after] - time[before], 1e-9)
     speed[0] = speed[-1] = 0.0
     corners = zip(time[places].tolist(), x[places].tolist(), speed.tolist(), strict=True)
-    waypoints = [Waypoint(_APPROACH_NS + round(at * 1e9), position, speed) for at, position, speed in corners]
+    waypoints = [Waypoint(_APPROACH_NS + round(at * 1e9), *there) for at, *there in corners]
     return Trajectory([Waypoint(0, 0.0, 0.0), *waypoints]), -_APPROACH_NS
 
 

@@ -31,7 +31,7 @@ EXIT_CONFIGURATION = 2
 """A parameter or a file cannot be used; nothing was started."""
 # A longer wait overflows in the executor and ends at once.
 _LONGEST_WAIT_S = 1e6
-_LONGEST_DEAFNESS_S, _COLLECT_S = 0.2, 1.0
+_SIGNALS_WITHIN_S, _COLLECT_S = 0.2, 1.0
 _TIMERS_IN_A_ROW = 3
 """Of idle work, before a callback of the executor: three nodes in a process have 250 calls of timers a second, of 500
 turns."""
@@ -82,16 +82,15 @@ def run(
         signal.signal(number, lambda *_: _complete(stop, 0))
     try:
         with own_profile():
-            rclpy.init(
-                args=None if arguments is None else list(arguments), signal_handler_options=SignalHandlerOptions.NO
-            )
+            words = None if arguments is None else list(arguments)
+            rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
             nodes = (
                 make_nodes()
                 if make_nodes
                 else (GuardedNode(name, automatically_declare_parameters_from_overrides=True),)
             )
             # Python handles signals only between its own instructions, and an idle executor runs none.
-            nodes[0].create_timer(_LONGEST_DEAFNESS_S, lambda: None)
+            nodes[0].create_timer(_SIGNALS_WITHIN_S, lambda: None)
             # Cyclic garbage is collected while there is little, so that it never is during a cycle.
             nodes[0].create_timer(_COLLECT_S, lambda: gc.collect(1))
     except Exception as error:

@@ -27,7 +27,7 @@ class SafetyMachine:
         self._on = False
         self.fault: Latched | None = None
         """The first fault since the last reset; those after it are its consequences."""
-        self._hardwares = False
+        self._of_hardware = False
         """Whether that fault is the hardware's own."""
         self.trips = 0
         """Number of all faults, with those after the first."""
@@ -68,14 +68,14 @@ class SafetyMachine:
             return
         if self.fault is None:
             self.trip(*found, time_ns)
-            self._hardwares = True
-        elif self._hardwares:
+            self._of_hardware = True
+        elif self._of_hardware:
             self.fault = Latched(*found, self.fault.time_ns)
 
     def reset(self) -> None:
         """Clear the fault; the amplifier stays as it is."""
         self._hardware.reset_fault()
-        self.fault, self._hardwares = None, False
+        self.fault, self._of_hardware = None, False
 
     @property
     def reason(self) -> str:

@@ -113,7 +113,7 @@ class Wire:
 
     def __init__(self, dbc: Dbc, meaning: WireParameters, node: int, fd: bool) -> None:
         self.dbc, self.meaning, self.fd, self.node = dbc, meaning, fd, node
-        self._places: dict[str, str] = {}
+        self._groups: dict[str, str] = {}
         """By message the group of parameters that describes its protection."""
         self._taken: dict[int, str] = {}
         self._users: dict[tuple[str, str], str] = {}
@@ -217,14 +217,14 @@ class Wire:
                 raise RefusedParameter(parameter, f"'' is not allowed with message '{named.message}'")
         return found
 
-    def _message_parameter(self, role: str) -> str:
+    def _role_of_message(self, role: str) -> str:
         """The role whose parameters name the message of ``role``: its own, or that of x or the command."""
         main = "command" if role in OF_HOST else "x"
         return role if getattr(self.meaning, role).message else main
 
     def _message(self, role: str) -> Message:
-        parameter = f"wire.{self._message_parameter(role)}.message"
-        name = getattr(self.meaning, self._message_parameter(role)).message
+        parameter = f"wire.{self._role_of_message(role)}.message"
+        name = getattr(self.meaning, self._role_of_message(role)).message
         with _naming(parameter):
             message = self.dbc.message(name)
         if is_fd(message) and not self.fd:
@@ -258,7 +258,7 @@ class Wire:
         for role in OF_HOST:
             if names.get(role) in of_board:
                 text = f"'{names[role]}' is a message of the board already; allowed: one that the host sends"
-                raise RefusedParameter(f"wire.{self._message_parameter(role)}.message", text)
+                raise RefusedParameter(f"wire.{self._role_of_message(role)}.message", text)
         if names.get("heartbeat") in [names[role] for role in names if role != "heartbeat"]:
             text = f"'{names['heartbeat']}' has other signals of the board; allowed: a message of its own"
             raise RefusedParameter("wire.heartbeat.message", text)
@@ -316,7 +316,7 @@ class Wire:
     ) -> Frames:
         """The frames of the message ``name``: the signals of the roles ``inside``, and their protection."""
         message = self.dbc.message(name)
-        self._places[name] = place = f"wire.protection.{group}"
+        self._groups[name] = place = f"wire.protection.{group}"
         with _naming("node"):
             identifier = self.dbc.identifier(message, self.node)
         other = self._taken.setdefault(identifier, name)
@@ -378,7 +378,7 @@ class Wire:
             names = " and ".join(f"'{one.name}' to {one.sample_modulus}" for one in several)
             text = f"frames that belong together have the same count, but {names} count otherwise"
             raise RefusedParameter(
-                f"{self._places[several[-1].name]}.alive",
+                f"{self._groups[several[-1].name]}.alive",
                 f"{text}; allowed: moduli with a common divisor >= {_LEAST_COUNTS}, or ''",
             )
         return common

@@ -69,7 +69,7 @@ class Board:
         self._range, self._send = stage.drive.current_range, send
         self.machine = machine = SimulatedHardware(parameters, stage, guide)
         self.stage = EmulatorFrames(wire)
-        self._tells_truth = can.simulated_stage and can.fd
+        self._sends_truth = can.simulated_stage and can.fd
         self._commands = {frames.identifier: (number, frames) for number, frames in enumerate(wire.commands)}
         self.identifiers = [*self._commands, *self.stage.orders]
         # An answer to a sample older than the timeout counts as no answer.
@@ -195,7 +195,7 @@ class Board:
             good=good,
             referenced=referenced,
         )
-        if self._tells_truth:
+        if self._sends_truth:
             self._send(self.stage.truth_id, self.stage.truth_payload(self.counter, truth), True)
         for frames in wire.reports.values():
             if number % frames.every == 0:

@@ -274,13 +274,13 @@ class Hub:
             except LinkCut:
                 self.cut()
                 return
-        for packet in packets:
+        for arriving in packets:
             if self._member is not None and sender is not None:
-                self._member(from_packet(packet))
+                self._member(from_packet(arriving))
             for node in self._nodes:
                 if node is not sender:
                     try:
-                        node.send(packet)
+                        node.send(arriving)
                     except BlockingIOError:
                         self.dropped += 1
                     except OSError:
