@@ -137,12 +137,9 @@ def _guide_fit(
     record: StrokeRecord, reference: ReferenceMap, straightness: StraightnessMap | None, sensor: Array | None
 ) -> GuideFit | None:
     if record.true_x is not None and record.guide is not None:
-        x, noise, followed = (
-            record.true_x[record.motion.samples()],
-            0.0,
-            record.guide + record.followed(reference),
-        )
-        guide, left = (residual_over(record.true_x, values, record) for values in (record.guide, followed))
+        x, noise = record.true_x[record.motion.samples()], 0.0
+        both = record.guide, record.guide + record.followed(reference)
+        guide, left = (residual_over(record.true_x, values, record) for values in both)
     else:
         moving = record.motion.samples()
         known = moving[:0] if sensor is None else moving[np.isfinite(sensor[moving])]

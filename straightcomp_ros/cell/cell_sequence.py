@@ -416,14 +416,11 @@ class CellSequence:
     def _execute(self) -> Iterator[None]:
         moves = self.movements
         while True:
-            if moves.strokes and self._arrived():
+            if moves.strokes and moves.arrived(self.seen, self.now):
                 if moves.strokes_done >= moves.strokes:
                     return
                 self.machine.move(moves.next(self.seen, self.now))
             yield
-
-    def _arrived(self) -> bool:
-        return self.movements.arrived(self.seen, self.now)
 
     def _holding(self) -> Iterator[None]:
         # A machine that takes no such order is waited for, until its movement ends.
@@ -446,7 +443,7 @@ class CellSequence:
     def _completing(self) -> Iterator[None]:
         moved = self.now
         while True:
-            arrived = self._arrived()
+            arrived = self.movements.arrived(self.seen, self.now)
             if arrived and self.as_one:  # its trajectory ends with the settling time
                 break
             # Another client may be moving the stage, or pause; a jog may not have begun.

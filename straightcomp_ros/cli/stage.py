@@ -213,18 +213,14 @@ def _show(options: argparse.Namespace) -> None:
 def _figures(stage: StageParameters, found: Any) -> list[tuple[str, str, str, float | None]]:
     """Key, words, unit and value of each figure."""
     margins: Any = found.margins
+    magnets = stage.actuator
 
     def of_loop(name: str) -> float | None:
         return None if margins is None else float(getattr(margins, name))
 
     return [
-        ("current_stiffness_N_per_A", "K_i, force per current", "N/A", stage.actuator.current_stiffness),
-        (
-            "position_stiffness_N_per_m",
-            "K_y, negative stiffness of the magnets",
-            "N/m",
-            stage.actuator.position_stiffness,
-        ),
+        ("current_stiffness_N_per_A", "K_i, force per current", "N/A", magnets.current_stiffness),
+        ("position_stiffness_N_per_m", "K_y, negative stiffness of the magnets", "N/m", magnets.position_stiffness),
         ("unstable_pole_Hz", "unstable pole of the platform", "Hz", found.unstable_pole / (2.0 * math.pi)),
         ("dead_time_ms", "dead time: hold, delay, amplifier", "ms", stage.dead_time * 1e3),
         ("difficulty", "unstable pole times dead time (easy below 0.5)", "", found.difficulty),

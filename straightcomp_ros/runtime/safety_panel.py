@@ -40,10 +40,8 @@ _LIVELY = QoSProfile(
 def commissioning_sign(node: Node) -> Callable[[str], None]:
     """A function that says what is done to the machine from now on. A client commissions it as long as its process
     lives and ``node`` exists."""
-    publisher, by = (
-        node.create_publisher(DiagnosticStatus, COMMISSIONING_CLIENT, _LIVELY),
-        node.get_fully_qualified_name(),
-    )
+    publisher = node.create_publisher(DiagnosticStatus, COMMISSIONING_CLIENT, _LIVELY)
+    by = node.get_fully_qualified_name()
 
     def report(doing: str) -> None:
         publisher.publish(DiagnosticStatus(name=COMMISSIONING_CLIENT, message=doing, hardware_id=by))
