@@ -246,12 +246,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         warnings.warn(
             f"parameters changed while the bag was recorded: {some}{more}; judged by the former", stacklevel=2
         )
-    for node, given in parameters.items():
-        for name in _numbers(node) & given.keys():
-            value = given[name]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                why = f"parameters.yaml: '{name}' of node '{node}' is {value!r}; allowed: a finite number"
-                raise BagError(f"bag {bag}: {why}; record the bag again")
+    _check_numbers(bag, parameters)
     for stream in needed:
         if stream.topic not in streams or len(streams[stream.topic].stamp) < 2:
             why = "was the whole graph running, under these names (--remap)?"
@@ -296,14 +291,7 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         law=str(parameters.get("controller", {}).get("control.law", "unknown")),
         **({name: column(truth, theirs) for name, theirs in _TRUTH.items()} if truth else {}),
     )
-    guide, sensor = None, unique.get(DISPLACEMENT.topic)
-    read = np.full(common.size, sensor is None)
-    if sensor and len(sensor) > 1:
-        values, known = FieldValues(sensor.stamp, sensor.columns["deviation"], True).at(common)
-        nearest = np.searchsorted(common[:-1] + np.diff(common) // 2, sensor.stamp)
-        close = np.abs(sensor.stamp - common[nearest]) <= np.median(np.diff(common))
-        values[nearest[close]], read[nearest[close]] = sensor.columns["deviation"][close], True
-        guide = np.where(known | read, values, np.nan)
+    guide, read = _guide_by(unique.get(DISPLACEMENT.topic), common)
     columns = driver.columns if driver else {}
     latency, lateness = (columns.get(name, np.empty(0)) for name in ("command_latency", "lateness"))
     state = driver.stamp if driver else encoder[:0]
@@ -353,11 +341,23 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
     )
 
 
+def _guide_by(sensor: StreamColumns | None, stamps: Stamps) -> tuple[Array | None, NDArray[np.bool_]]:
+    """``guide`` and ``read`` of a :class:`BagEvaluation` by the displacement sensor, at ``stamps`` (m,)."""
+    read = np.full(stamps.size, sensor is None)
+    if sensor is None or len(sensor) < 2:
+        return None, read
+    values, known = FieldValues(sensor.stamp, sensor.columns["deviation"], True).at(stamps)
+    nearest = np.searchsorted(stamps[:-1] + np.diff(stamps) // 2, sensor.stamp)
+    close = np.abs(sensor.stamp - stamps[nearest]) <= np.median(np.diff(stamps))
+    values[nearest[close]], read[nearest[close]] = sensor.columns["deviation"][close], True
+    return np.where(known | read, values, np.nan), read
+
+
 def _reference_at(
     stamps: Stamps, x: Array, reference: StreamColumns, run: StrokeRecord, straightness: StraightnessMap | None
 ) -> Array:
     """r (n,) in m at these samples: as recorded, else by the map, or by what the ``run`` recorded at the same x; NaN
-    where neither tells it."""
+    where neither has it."""
     r = values_at(reference, "r", stamps)
     missing = np.isnan(r)
     if straightness and not straightness.directed:
@@ -366,6 +366,15 @@ def _reference_at(
         missing &= run.reference.recorded_around(x)
         r[missing] = run.reference.evaluate(x[missing])[0]
     return r
+
+
+def _check_numbers(bag: Path, parameters: Mapping[str, Mapping[str, Any]]) -> None:
+    for node, given in parameters.items():
+        for name in _numbers(node) & given.keys():
+            value = given[name]
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                why = f"parameters.yaml: '{name}' of node '{node}' is {value!r}; allowed: a finite number"
+                raise BagError(f"bag {bag}: {why}; record the bag again")
 
 
 @cache
