@@ -1,13 +1,13 @@
 """What makes an error that is not the law's: the mains, something locked to x, friction, a mode, a vibration, or the
 loop itself.
 
-Each is told from facts of the record, not from the size of the error:
+Each is known by facts of the record, not from the size of the error:
 
 - **mains**: a line at 50 or 60 Hz or a multiple. It keeps its phase over the whole run, whatever the speed, and is
   there at rest too; the loop's own oscillation mostly wanders off. A limit cycle of few whole samples does not: at its
   frequency the mains need another line of their comb.
 - **locked to x**: a line that keeps its phase over x, in both directions. Its frequency follows the speed: the ramps at
-  both ends of a stroke tell it from a line in time.
+  both ends of a stroke distinguish it from a line in time.
 - **friction** (stick-slip, hunting): the platform stands most of the time and jumps in between. Its velocity is then
   far from that of a sine or of noise: kurtosis 1.5 and 3.
 - **a cable that drags**: a force that turns round with the travel of the stage, whereas friction turns round with the
@@ -43,7 +43,7 @@ _CYCLE = 12
 _OF_COMB = 0.1
 """Least amplitude of another line of the mains relative to the one that is found."""
 _WAVES_AT_REST = 12
-"""Waves in a rest from which its line can be told from what is around it."""
+"""Waves in a rest from which its line can be distinguished from what is around it."""
 _STANDS_OUT = 5.0
 """Amplitude of a line relative to the median around it: of noise, one in 10^7 has as much."""
 _COHERENT = 0.5
@@ -109,7 +109,7 @@ class Line(NamedTuple):
 
 def mains(motion: JudgedMotion, line: Line) -> Line | None:
     """The ``line`` that was found in segments of the error, if it is of the mains; the error in each rest between
-    strokes must have it too, where they are long enough to tell."""
+    strokes must have it too, where they are long enough to show it."""
     time, error, period = motion.time, motion.error, motion.period
     found = _strongest(*_spectrum(time, error, line.at), (1.0 - _AROUND) * line.at, (1.0 + _AROUND) * line.at)
     of_grid = [n for one in MAINS for n in _MULTIPLES if abs(found.at / (n * one) - 1.0) <= _GRID]
@@ -362,7 +362,7 @@ def _stands_out(along: Array, error: Array, at: float, least: float = 0.0) -> bo
 
 def _background(tried: Array, spectrum: Array, length: float, at: float) -> float:
     """Median of a :func:`_spectrum` over ``length`` around a line ``at``, to half and three halves of it; infinite
-    where the length has too few waves to tell the line from what is around it."""
+    where the length has too few waves to distinguish the line from what is around it."""
     around = spectrum[(np.abs(tried - at) * length > 2.0) & (np.abs(tried / at - 1.0) < 0.5)]
     return float(np.median(around)) if around.size else math.inf
 

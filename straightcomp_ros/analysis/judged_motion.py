@@ -287,7 +287,7 @@ class JudgedMotion:
 
     @cached_property
     def strokes(self) -> Sequence[Stroke]:
-        """Of the stage; none where its motion cannot be told."""
+        """Of the stage; none where its motion is not known."""
         try:
             return motion_of(self.time, self.x).strokes
         except MetricsError:

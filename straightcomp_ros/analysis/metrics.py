@@ -115,7 +115,7 @@ def evaluate(record: StrokeRecord, straightness: ReferenceMap, map_of_guide: Ref
     steps = np.diff(record.current[window])
     resting, stamps = [], np.round(record.time * 1e9)
     for one, following in itertools.pairwise(motion.strokes):
-        # In whole nanoseconds: a sum of floats is beside a sample's time by its last bit.
+        # In whole nanoseconds: a sum of floats differs from a sample's time in its last bit.
         begin = np.searchsorted(stamps, stamps[one.stop - 1] + round(RESTING * 1e9))
         resting += np.diff(record.current[begin : following.start]).tolist()
     _, before, after = straightness_over(record, map_of_guide or straightness)

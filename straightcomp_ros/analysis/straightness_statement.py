@@ -188,7 +188,7 @@ Samples = tuple[Array, Array, Array]
 
 def statements(evaluation: BagEvaluation, sensor: float | None = None) -> list[Statement]:
     """Of a run, before and after compensation, for each direction and line. ``sensor`` is the standard uncertainty in m
-    of a recorded displacement sensor, which then takes the place of the map. None where nothing tells the guide: there
+    of a recorded displacement sensor, which then takes the place of the map. None where the guide is not known: there
     is no map, and the reference was centred, or the sensor has no readings."""
     record, readings, found = evaluation.record, evaluation.guide, list[Statement]()
     by_sensor = sensor is not None

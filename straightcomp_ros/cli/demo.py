@@ -156,7 +156,7 @@ def _in_lockstep(values: Values) -> None:
 
 
 def _shown(result: Demonstration, figures: Mapping[str, Any], stroke: float) -> str:
-    """One sentence for somebody who looks on: what was to be seen."""
+    """One sentence for a user who watches: what was to be seen."""
     if result.verdict.verdict == STARVED:
         # Its reason begins with whether the servo works.
         return f"What you saw: {result.verdict.reason.partition(':')[0]}"

@@ -5,7 +5,7 @@
 A notch is (s² + 2 d ζ ω s + ω²)/(s² + 2 ζ ω s + ω²), with the width 2 ζ and the depth d; its poles may lie at another ω
 than its zeros, at p times it, so that what it costs in phase below its frequency becomes gain above it. The roll-off is
 a low-pass of second order. All are sampled by Tustin's rule with each ω kept, and 1 at frequency zero. A law with an
-observer is told the filtered command: it predicts what truly acts, so that only the law waits for the filters, and its
+observer gives it the filtered command: it predicts what truly acts, so that only the law waits for the filters, and its
 observer does not.
 
 An oscillator h_n turns by its angular frequency from sample to sample and is driven by the error y − r:

@@ -277,7 +277,7 @@ def can_hold(stage: StageParameters) -> bool:
 
 
 def _holding(stage: StageParameters) -> float:
-    """Friction in N that holds the platform a count beside the balance, with half a step of the converter too much."""
+    """Friction in N that holds the platform a count off the balance, with half a step of the converter too much."""
     return stage.quantum - 0.5 * stage.drive.current_step * stage.actuator.current_stiffness
 
 

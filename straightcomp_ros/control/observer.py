@@ -1,10 +1,9 @@
 """Extended state observer of the platform, through a loop delay that it knows; and the errors at the moment of action.
 
 The model between two samples is M v̇ = f_c(y, i) − k y + M d with the magnets' exact force (2), a flexure's
-stiffness k, the amplifier's first-order
-lag, and a command that takes effect ``delay`` after its sample. Friction, model errors and everything else is the
-disturbance d (an acceleration), taken as constant from sample to sample (Han, IEEE Trans. Ind. Electron. 56(3), 2009;
-Gao's bandwidth parameterisation, ACC 2003).
+stiffness k, the amplifier's first-order lag, and a command that takes effect ``delay`` after its sample. Friction,
+model errors and everything else is the disturbance d (an acceleration), taken as constant from sample to sample (Han,
+IEEE Trans. Ind. Electron. 56(3), 2009; Gao's bandwidth parameterisation, ACC 2003).
 
 The command computed from the sample of time t acts at t + delay: the laws compare the state predicted for that moment
 with the reference of that moment. They answer with an acceleration; the exact inverse of (2) gives the current.

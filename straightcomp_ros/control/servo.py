@@ -24,8 +24,7 @@ class Crossfade:
 
     The command changes by no more than the laws' own steps and 1/n of their difference, which is at most twice the
     limit of the current. The old law may be a crossfade itself until that is over; the new one starts at the next
-    sample, at rest.
-    ``finished`` is called at the last of the ``samples`` n.
+    sample, at rest. ``finished`` is called at the last of the ``samples`` n.
     """
 
     def __init__(self, old: Law | Crossfade, new: Law, samples: int, finished: Callable[[Crossfade], None]) -> None:

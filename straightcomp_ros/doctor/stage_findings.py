@@ -183,7 +183,7 @@ def _related(stage: StageParameters, straightness: StraightnessMap) -> Iterator[
     if friction.viscous:
         yield "s until viscous friction stops the platform", mass / friction.viscous, 0.02, 19.9, "friction.viscous"
     yield "times the current limit by the converter", drive.current_range / limit, 0.5, 100.0, "drive.gain"
-    # Counts of x from 1 nm to 2 µm are usual, which is more than a factor of 1000: at its ends the count of y tells a
+    # Counts of x from 1 nm to 2 µm are usual, which is more than a factor of 1000: at its ends the count of y shows a
     # wrong unit of x.
     count = stage.encoder.x_resolution
     if not 2e-9 <= count <= 1.9e-6:

@@ -133,7 +133,7 @@ class Hardware(ABC):
 
     @property
     def unreferenced(self) -> str:
-        """Why x must not be compensated: it is not counted from its reference. Empty if it is, or nothing tells."""
+        """Why x must not be compensated: it is not counted from its reference. Empty if it is, or is not known."""
         return ""
 
     @property
@@ -143,7 +143,7 @@ class Hardware(ABC):
 
     @property
     def link_problem(self) -> str:
-        """Why the machine cannot be reached; empty if it can, or nothing tells."""
+        """Why the machine cannot be reached; empty if it can, or if that is not known."""
         return ""
 
     @property

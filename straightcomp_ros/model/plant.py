@@ -273,13 +273,12 @@ class CommandedPlant(NamedTuple):
     """Constants and state as :func:`advance_to_sample` takes them.
 
     Attributes:
-        constants: those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes
-            below zero, resolution of the encoder in m.
-        state: (37,) that of the plant, see :func:`plant_state`; bias current and control
-            current asked of the amplifier, mean control current, all in A; impulse beyond that mean in A · samples;
-            position that is held, in m; where the encoder of y looks the velocity in m/s and the position in m; its
-            newest reading in m. While the bias current asked for is zero, the amplifier is off and commands have no
-            effect.
+        constants: those of the plant; the fields of :class:`Hold`; step of the D/A converter in A, its codes below
+            zero, resolution of the encoder in m.
+        state: (37,) that of the plant, see :func:`plant_state`; bias current and control current asked of the
+            amplifier, mean control current, all in A; impulse beyond that mean in A · samples; position that is held,
+            in m; where the encoder of y looks the velocity in m/s and the position in m; its newest reading in m. While
+            the bias current asked for is zero, the amplifier is off and commands have no effect.
         times: (3,) int64: the present and the time at which the board begins to hold in ns, and whether it holds.
     """
 

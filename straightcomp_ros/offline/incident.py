@@ -255,8 +255,8 @@ def _before_the_end(bag: Path, files: Sequence[BagInput], last: float) -> tuple[
     with the amplifier's last switch-on before the last seconds, if that is not longer ago than :data:`_FARTHEST` times
     these: from there on each command can be computed again.
 
-    It goes by chunks, since the samples of a day do not fit into memory. Its time is that of
-    `played`: a pause, or a clock that was set forward, takes 1 s at most, and one that was set back none.
+    It goes by chunks, since the samples of a day do not fit into memory. Its time is that of `played`: a pause,
+    or a clock that was set forward, takes 1 s at most, and one that was set back none.
     """
     topic = resolved(ENCODER.topic, topic_names(files), str(bag))
     time, count, newest_ns, was_on = 0.0, 0, 0, True

@@ -177,7 +177,7 @@ class ZeroWatch:
     """Whether x that is referenced anew is counted from where it was before.
 
     That can be said where the encoder has counted on meanwhile. After a loss of counts or of samples any reference is
-    believed: nothing tells where the stage is.
+    accepted: where the stage is, is not known.
 
     Attributes:
         finding: what is wrong with the zero of x; empty if nothing is known to be.

@@ -71,7 +71,7 @@ class UncertaintyParameters:
     )
     jitter: float = parameter(
         0.04,
-        "Time from each sample's place on the grid: uniform within ± this; the stamp tells the true time",
+        "Time from each sample's place on the grid: uniform within ± this; the stamp has the true time",
         "[0, 0.4] samples",
     )
     map_noise: float = parameter(

@@ -415,7 +415,7 @@ def _unit_of_run(name: str) -> str | None:
 
 
 def _unit_of_vague(name: str) -> str:
-    """The unit of a column beside those of runs whose name does not exclude that it is one; empty for another."""
+    """The unit of a column among those of runs whose name does not exclude that it is one; empty for another."""
     unit, ways, others = _parts_of_run(name)
     numbers = [one for one in others if one.isdigit()]
     return "" if max(len(ways), len(numbers)) > 1 or _COMPUTED.intersection(others) else unit
@@ -424,7 +424,7 @@ def _unit_of_vague(name: str) -> str:
 def _check_columns_of_runs(
     where: str, header: Sequence[str], runs: Mapping[int, tuple[str, str]], rows: Sequence[tuple[str, int, list[str]]]
 ) -> None:
-    """Raise SurveyError for two columns of one run, and for a column beside those of ``runs`` that may be another run,
+    """Raise SurveyError for two columns of one run, and for a column among those of ``runs`` that may be another run,
     or is one without a unit or a name: else it would be left out without a word."""
     first, (unit, _) = next(iter(runs.items()))
     for at, name in enumerate(header):
@@ -575,7 +575,7 @@ def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[in
             "allowed: one decimal mark, and thousands without any"
         )
     for column in columns if len(marks) == 1 and not decimal else ():
-        # 890 beside 1.242 in one column: a number of a thousand and more has a mark, or a whole number has none.
+        # 890 and 1.242 in one column: a number of a thousand and more has a mark, or a whole number has none.
         # "1,242" between commas: thousands in English, or decimals in German.
         marked = next((one for one in cells if one[2] == column and _GROUPED.fullmatch(one[3])), None)
         if marked and (delimiter == "," or any(at == column and _WHOLE.fullmatch(cell) for _, _, at, cell in cells)):

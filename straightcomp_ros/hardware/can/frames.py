@@ -339,10 +339,9 @@ class Frames:
     def _table(self, shown: Collection[str]) -> tuple[Any, ...]:
         """What :meth:`unpack` goes through for frames with the fields ``shown``, each by its place in ``kind``.
 
-        Shift and mask of each, 0 for a field that the frame does not have; moduli of the counters;
-        decoders of floats and of meanings; sign bit, scale and offset of numbers; what stands for a field that is
-        absent; ends of a good reading, and which field says what beyond them; whether the fault code alone says that
-        there is a fault.
+        Shift and mask of each, 0 for a field that the frame does not have; moduli of the counters; decoders of
+        floats and of meanings; sign bit, scale and offset of numbers; what stands for a field that is absent; ends of a
+        good reading, and which field says what beyond them; whether the fault code alone says that there is a fault.
         """
         bits, counted, decoders, numbers, absent, ends = [], [], [], [], [], []
         for at, field in enumerate(self._order):

@@ -57,8 +57,7 @@ class Link:
     """Receives in :meth:`wait`, which calls back, and sends by :meth:`send`; one thread calls both.
 
     ``receive(frame, arrival_ns)`` is called for each frame with one of ``identifiers`` and for each error frame; in
-    identifiers of 29 bits EXTENDED_ID is set;
-    ``clock`` is the host's time in ns.
+    identifiers of 29 bits EXTENDED_ID is set; ``clock`` is the host's time in ns.
 
     Raises:
         ParameterError: python-can knows no such interface.

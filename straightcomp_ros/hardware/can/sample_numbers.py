@@ -179,7 +179,7 @@ class SampleClock:
         late = min(first, second)
         if not self.settled:
             if abs(second - first) > _LOST_PERIODS * self._nominal:
-                # 6 %, or the host stood still throughout one half: the next block tells.
+                # 6 %, or the host stood still throughout one half: the next block shows which.
                 self.reset()
                 period_ns = self._nominal + (second - first) / (BLOCK // 2)
                 # None passes between frames that are read at once.
@@ -250,7 +250,7 @@ class SampleNumbers:
         return max((arrival_ns - self._newest_ns) / self._period_ns, unsettled)
 
     def ahead(self, count: int | None, arrival_ns: int) -> int | None:
-        """How many samples a frame is ahead of the newest accepted one, 1 for the next; None while nothing tells.
+        """How many samples a frame is ahead of the newest accepted one, 1 for the next; None while that is not known.
 
         With zero or less it carries no new sample, see :meth:`count_old`.
         """
@@ -300,7 +300,7 @@ class SampleNumbers:
             self.repeated += 1
 
     def wait(self, report: Report, arrival_ns: int) -> None:
-        """Keep a frame whose number nothing tells, in place of the one before it: the full counter may come next."""
+        """Keep a frame whose number is not known, in place of the one before it: the full counter may come next."""
         self._waiting = report, arrival_ns
 
     def place(self, counter: int, arrival_ns: int) -> tuple[Report, int, int] | None:
