@@ -3,6 +3,7 @@
 import re
 import subprocess
 import threading
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from unittest.mock import Mock
@@ -19,6 +20,17 @@ from straightcomp_ros.bags.reader import read_metadata, read_streams
 from straightcomp_ros.bags.recorder import BREAK, Intake, Losses, Recorder, check_disk
 from straightcomp_ros.bags.topics import Topic, TopicQos
 from straightcomp_ros.contract import ENCODER
+
+
+@pytest.fixture(autouse=True)
+def no_writer_is_left(monkeypatch):
+    """The thread of a recorder that a failing test did not stop would keep the run from ending."""
+    started, start = [], Recorder.start
+    monkeypatch.setattr(Recorder, "start", lambda self: started.append(self) or start(self))
+    yield
+    for recorder in started:
+        with suppress(BagError):
+            recorder.stop()
 
 
 def message(number: int) -> tuple[str, bytes, int, int]:
