@@ -1,4 +1,5 @@
-"""What the pages say of topics, parameters and commands is what the code has; they build, and their links are right."""
+"""What the pages say of topics, parameters and commands is what the code has; they build, and their links are right.
+Each is of one kind, says for whom it is, and those for users in need have every word that a program prints."""
 
 import ast
 import re
@@ -9,12 +10,14 @@ import sys
 from itertools import chain
 
 import pytest
+import yaml
 from places import REPOSITORY
 from places import page as read
 from test_imports_point_inward import SOURCE
 
 from scripts import make_reference
 from straightcomp_ros import contract
+from straightcomp_ros.analysis.judgement import WORDS
 from straightcomp_ros.cli.main import make_parser
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.paced_motion import StageState
@@ -246,10 +249,41 @@ def _anchors(page):
     return {re.sub(r"\s+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
 
 
-def test_the_overview_leads_to_every_page():
-    linked = set(re.findall(r"\]\(([\w/]+\.md)", read("index")))
-    docs = REPOSITORY / "docs"
-    assert linked == {str(page.relative_to(docs)) for page in docs.rglob("*.md")} - {"index.md"}
+DOCS = REPOSITORY / "docs"
+NAVIGATION = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+
+
+def pages(entries):
+    """File names in a section of the navigation, in their order."""
+    for entry in entries if isinstance(entries, list) else [entries]:
+        if isinstance(entry, dict):
+            yield from (page for below in entry.values() for page in pages(below))
+        else:
+            yield entry
+
+
+KINDS = {page: kind for section in NAVIGATION for kind, below in section.items() for page in pages(below)}
+
+
+def test_the_overview_leads_to_every_page_and_the_navigation_has_each_once_in_four_kinds_after_it():
+    every = sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+    assert {"index.md", *re.findall(r"\]\(([\w/]+\.md)", read("index"))} == set(every) and sorted(
+        pages(NAVIGATION)
+    ) == every
+    assert list(dict.fromkeys(KINDS.values())) == ["Overview", "Tutorial", "How-to", "Reference", "Explanation"]
+
+
+@pytest.mark.parametrize("page", sorted(KINDS))
+def test_the_first_line_of_a_page_says_its_kind_and_for_whom_it_is(page):
+    heading, blank, first = (DOCS / page).read_text(encoding="utf-8").splitlines()[:3]
+    assert heading.startswith("# ") and not blank
+    assert re.fullmatch(rf"\*{KINDS[page]}, for [^*]+\*", first), first
+
+
+def test_each_verdict_has_its_row_among_the_symptoms():
+    table = read("troubleshooting").partition("## Symptoms of a run\n")[2].partition("\n## ")[0]
+    seconds = re.findall(r"^\| .*? \| (.*?) \|", table, re.MULTILINE)
+    assert set(re.findall(r"`(\w+)`", " ".join(seconds))) == set(WORDS)
 
 
 @pytest.mark.nightly
@@ -264,7 +298,7 @@ def test_the_pages_build_without_a_warning_and_a_link_that_leads_nowhere_fails_t
     built = build(REPOSITORY, tmp_path / "site")
     assert built.returncode == 0, built.stdout + built.stderr
     shutil.copy(REPOSITORY / "mkdocs.yml", tmp_path)
-    shutil.copytree(REPOSITORY / "docs", tmp_path / "docs")
+    shutil.copytree(DOCS, tmp_path / "docs")
     for part in ("straightcomp_ros", "scripts"):
         (tmp_path / part).symlink_to(REPOSITORY / part)
     links = ["nowhere.md", "law.md#nowhere", "../README.md", "images/nowhere.png"]
