@@ -57,17 +57,6 @@ def test_the_panels_show_runs_means_and_bands_and_what_is_left_of_the_mean(drawn
     assert lines(lowest)["mean of the runs"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_page_and_the_figures_state_the_same_straightness_of_a_noisy_survey(drawn):
-    random = np.random.default_rng(0)
-    runs = (run(str(k), "forward", random.normal(0.0, 3e-7, X.size)) for k in range(6))
-    built = build(Survey(tuple(runs)), Path(__file__), CHOICES)
-    map_page.plot_map(built, Path("map.png"))
-    figures = built.figures()
-    for line in LINES:
-        stated = f"{figures[f'straightness_{line}_um']:.3f} µm ± "
-        assert any(text.startswith(stated) and "ISO 230-1" in text for text in facts(drawn[0]))
-
-
 def test_the_facts_of_a_page_stand_apart_from_each_other_and_from_the_panels_within_the_sheet(drawn):
     built = build(Survey((run("1", "forward", 1e-7), run("1", "backward", -1e-7))), Path(__file__), CHOICES)
     map_page.plot_map(
@@ -93,11 +82,17 @@ def test_the_facts_of_a_page_stand_apart_from_each_other_and_from_the_panels_wit
         assert name.y0 - 5 < line.y0 < name.y1 and line.width > 0.12 * sheet.width
 
 
-def test_the_bands_of_a_map_are_those_of_its_noise_over_the_whole_survey(drawn):
+def test_the_bands_of_a_map_are_those_of_its_noise_over_the_whole_survey_and_its_straightness_that_of_the_figures(
+    drawn,
+):
     random = np.random.default_rng(0)
     runs = (run(str(k), "forward", random.normal(0.0, 3e-7, X.size)) for k in range(6))
     built = build(Survey(tuple(runs)), Path(__file__), CHOICES)
     map_page.plot_map(built, Path("map.png"))
+    figures = built.figures()
+    for line in LINES:
+        stated = f"{figures[f'straightness_{line}_um']:.3f} µm ± "
+        assert any(text.startswith(stated) and "ISO 230-1" in text for text in facts(drawn[0]))
     band = built.straightness.noise.band(X) * 1e6
     for shown, factor in zip(drawn[0].axes[2].collections, (1.96, 1.0), strict=True):
         extent = shown.get_paths()[0].get_extents()
