@@ -138,18 +138,6 @@ def test_a_sample_without_a_command_has_the_one_before_and_none_before_the_first
     assert recording.command == pytest.approx(expected[10:], abs=1e-12)
 
 
-@pytest.mark.parametrize("block", [1, 7])
-def test_the_busiest_samples_are_those_of_a_loop_over_all_beginnings(monkeypatch, block):
-    monkeypatch.setattr(path_module, "LONGEST", 70)
-    random = np.random.default_rng(1)
-    for size in (60, 70, 300, 305):
-        y = np.cumsum(random.standard_normal(size) ** 3)
-        means = [y[at : at + block].mean() for at in range(0, size - block + 1, block)]
-        length = 70 // block
-        ways = [sum(np.abs(np.diff(means[at : at + length]))) for at in range(max(1, len(means) - length + 1))]
-        assert path_module._busiest(y, block) == block * int(np.argmax(ways))
-
-
 def test_weights_use_95_percent_of_the_information_of_normal_residuals_and_less_of_wild_ones():
     residuals = 3.0 * norm.ppf((np.arange(100_000) + 0.5) / 100_000)
     weights = huber_weights(residuals, 1e-9)
@@ -171,17 +159,17 @@ def test_a_regression_finds_factors_and_their_residuals_whatever_a_few_wild_ones
     assert deviation == pytest.approx(0.1 / math.sqrt(0.95), rel=0.03 + 5.0 * wild / 20_000)
 
 
-@pytest.mark.parametrize("whole", [0, 1, 2])
-def test_the_arrival_of_each_command_is_found_to_a_nanosecond_with_the_right_bandwidth(whole):
-    delays = (whole + np.random.default_rng(2).uniform(0.1, 0.9, 500)) * PERIOD
+def test_the_arrival_of_each_command_is_found_to_a_nanosecond_with_the_right_bandwidth():
+    # So wide a jitter hides the bandwidth: the described one holds.
+    delays = np.random.default_rng(2).uniform(0.1, 0.9, 500) * PERIOD
     run = recorded(delays)
-    old, new, switch, late, missed = path_module._arrivals(run.current, run.command, RATE, PERIOD, whole, 3)
+    path = current_path(run, DRIVE)
     # But where the converter's counts make two commands the same one.
-    inside = np.flatnonzero(np.abs(new - old) > 1e-9)[whole + 1 : -1]
-    assert inside.size > 480 and (late[inside] == whole).all() and np.abs(missed[inside]).max() < 1e-9
-    assert (switch + late * PERIOD)[inside] == pytest.approx(delays[inside - whole], abs=1e-9)
-    assert new[inside] == pytest.approx(run.command[inside - whole])
-    assert old[inside] == pytest.approx(run.command[inside - whole - 1])
+    inside = np.flatnonzero(np.abs(path.after - path.before) > 1e-9)[1:-1]
+    assert inside.size > 480 and path.rate == RATE
+    assert path.switch_ns[inside] == pytest.approx(1e9 * delays[inside], abs=1.0)
+    assert path.after[inside] == pytest.approx(run.command[inside])
+    assert path.before[inside] == pytest.approx(run.command[inside - 1])
 
 
 def test_delays_of_up_to_two_samples_more_than_described_are_found():
@@ -219,12 +207,15 @@ def test_of_a_long_stretch_those_samples_are_used_in_which_the_platform_moves_wh
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(path_module, "LONGEST", 2000)
-    flicker = 1e-7 * (np.arange(4000) % 2)
-    assert np.abs(np.diff(flicker)).mean() > np.abs(np.diff(MOVING)).mean()
-    y = np.concatenate([flicker, MOVING[:2000], MOVING[1999] + flicker])
-    # The current is the number of the sample.
-    recording = read_recording(written(tmp_path / "bag", y, np.arange(y.size)))
-    assert len(recording.y) == 2000 and recording.current[0] == pytest.approx(4000, abs=20)
+    random = np.random.default_rng(1)
+    for size in (2015, 2050, 4000, 6007):
+        y = 1e-6 * np.cumsum(random.standard_normal(size) ** 3) + 1e-3 * (np.arange(size) % 2)
+        # Behind the samples after the switch-on, by the means of 10 ms.
+        means = [y[at : at + 20].mean() for at in range(10, size - 19, 20)]
+        ways = [sum(np.abs(np.diff(means[at : at + 100]))) for at in range(max(1, len(means) - 99))]
+        # The current is the number of the sample.
+        recording = read_recording(written(tmp_path / str(size), y, np.arange(size)))
+        assert recording.current[0] == 10 + 20 * np.argmax(ways) and len(recording.y) == min(2000, size - 10)
 
 
 NAMES = {"x.message": "Axes", "x.signal": "X", "y.signal": "Y", "current.signal": "Coil"}

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from straightcomp_ros.analysis import error_detail
 from straightcomp_ros.analysis.error_detail import (
     error_spectrum,
     irregular_oscillation,
@@ -129,15 +128,3 @@ def test_single_samples_that_are_missing_are_interpolated_and_a_pause_never():
     assert [one.size for (one,) in stretches(filled, filled)] == [1000]
     slow = np.delete(np.arange(100) * 0.05, [50])
     assert [one.size for (one,) in stretches(slow, slow)] == [50, 49]
-
-
-def test_a_platform_stands_in_the_stretches_of_a_loop_over_the_samples():
-    random = np.random.default_rng(1)
-    for _ in range(20):
-        y = np.cumsum(random.choice([-1.0, 0.0, 0.0, 1.0], 60)) * 1e-7
-        expected, start = [], 0
-        for place in range(y.size):
-            if abs(y[place] - y[start]) > 1.5e-7:
-                expected.append((start, place))
-                start = place
-        assert error_detail._standing(y, 1.5e-7) == [*expected, (start, y.size)]
