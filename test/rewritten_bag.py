@@ -4,8 +4,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 
+from straightcomp_ros.bags.topics import Topic
+from straightcomp_ros.bags.writer import BagWriter
 from straightcomp_ros.contract import STREAMS
 
 _STREAMS = {f"/{stream.topic}": stream for stream in STREAMS}
@@ -22,28 +23,24 @@ def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) 
     """A copy of the only file of the bag ``source`` as ``folder``. ``change`` takes topic, stamp in ns from the first
     and numbers of a message of ours, and returns stamp and numbers, with the time of recording if that is another; or
     None to leave the message out. ``edit`` takes name and bytes of an attachment, and returns its bytes, or None."""
-    folder.mkdir()
     (path,) = source.glob("*.mcap")
-    with path.open("rb") as file, (folder / f"{folder.name}_0.mcap").open("wb") as target:
-        reader, writer = make_reader(file), Writer(target, compression=CompressionType.NONE)
-        writer.start("ros2")
+    begin, messages = None, []
+    with path.open("rb") as file, BagWriter(folder, compression="none") as bag:
+        reader = make_reader(file)
         for one in reader.iter_attachments():
             if (data := edit(one.name, one.data)) is not None:
-                writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, data)
+                bag.attach(one.name, one.media_type, data, one.create_time)
         for one in reader.iter_metadata():
-            writer.add_metadata(one.name, one.metadata)
-        channels: dict[int, int] = {}
-        begin = None
+            bag.add_metadata(one.name, one.metadata)
         for schema, channel, message in _messages(path):
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number, channel.metadata)
-            data, log_time = message.data, message.log_time
-            if channel.topic in _STREAMS:
-                layout = _STREAMS[channel.topic].layout
+            topic, data, log_time = channel.topic, message.data, message.log_time
+            if topic not in bag.topics:
+                bag.add(Topic(topic, schema.name))
+            if topic in _STREAMS:
+                layout = _STREAMS[topic].layout
                 stamp, numbers = layout.unpack(data)
                 begin = stamp if begin is None else begin
-                changed = change(channel.topic[1:], stamp - begin, list(numbers))
+                changed = change(topic[1:], stamp - begin, list(numbers))
                 if changed is None:
                     continue
                 new, numbers, *times = changed
@@ -51,6 +48,8 @@ def rewritten(source: Path, folder: Path, change, edit=lambda name, data: data) 
                 new += begin if begin + new >= 0 else 0
                 log_time = max(0, begin + times[0]) if times else log_time
                 data = layout.pack(new, *numbers)
-            writer.add_message(channels[channel.id], log_time, data, log_time)
-        writer.finish()
+            messages.append((topic, data, log_time, log_time))
+        # In parts: those of the first begin the file one by one, the others are written together.
+        for at in range(0, len(messages), 1000):
+            bag.write_all(messages[at : at + 1000])
     return folder

@@ -48,4 +48,7 @@ def write_bag(folder: Path, number: int, stages: int = 1, parameters: str | None
         for name, data in attachments.items():
             bag.attach(name, "", data)
         bag.add_metadata(ORIGIN_METADATA, {"version": "generated", "revision": "none"})
-        bag.write_all(sorted(messages, key=lambda message: message[2]))
+        messages.sort(key=lambda message: message[2])
+        # In parts: those of the first begin the file one by one, the others are written together.
+        for at in range(0, len(messages), 1000):
+            bag.write_all(messages[at : at + 1000])
