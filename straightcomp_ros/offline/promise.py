@@ -34,7 +34,6 @@ from straightcomp_ros.parameters.node_parameters import (
     node_parameters,
 )
 from straightcomp_ros.stage.description import Factors, deviating
-from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -184,7 +183,9 @@ def _strokes(
         raise MetricsError("record: its motion is too long to be simulated")
     stroke = scenario.stroke()
     window = motion_of(np.asarray(stroke.stamps * 1e-9, dtype=np.float64), stroke.x).window
-    followed, count = along(stroke.map, stroke.true_x)[0], stage.encoder.y_resolution
+    count = stage.encoder.y_resolution
+    # As a record's: of two tables at the measured x.
+    followed = stroke.references[:, 0] if stroke.map.directed else stroke.map.evaluate(stroke.true_x)[0]
     size, own, range_ = followed.size, round(stage.drive.delay * stage.period_ns), stage.uncertainty
 
     @cache

@@ -33,6 +33,7 @@ from straightcomp_ros.offline.starts import first_cycle
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.yaml_text import dump_yaml, load_yaml
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
+from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import write_survey
 from straightcomp_ros.timing.node_timing import HeldUp, Report, summarise
 
@@ -190,6 +191,14 @@ def test_the_promise_is_that_of_the_description_and_not_of_the_machine_or_its_no
     assert promise_of(replace(record, **columns), by_node(values), straightness).smooth == found.smooth
     assert promise_of(record, {"driver": {}}, straightness) is promise_of(record, by_node(values), None) is None
     assert promise_of(record, {"controller": {"control.law": "another"}}, straightness) is None
+
+
+def test_with_two_tables_and_a_coarse_x_the_promise_is_what_the_described_machine_leaves():
+    values = parameters(stage=CYCLE | {"guide.direction": "both", "encoder.x_resolution": 1e-4})
+    record, straightness = first_cycle(values)
+    assert straightness.directed
+    left = peak_to_peak(record.moving.true_error(straightness))
+    assert promise_of(record, by_node(values), straightness).as_mapped().pp == pytest.approx(left, rel=1e-6)
 
 
 def test_a_run_by_a_list_of_positions_has_the_promise_of_its_movements_wherever_the_list_is(tmp_path):
