@@ -356,7 +356,8 @@ def _open_loop(plant: StateSpace, controller: StateSpace, z: Complex) -> Complex
 
 def _response(system: StateSpace, z: Complex) -> Complex:
     """Outputs per input of ``system`` at the points ``z`` (n,) of the z plane, (n, outputs, inputs)."""
-    solved = np.linalg.solve(z[:, None, None] * np.eye(len(system.a)) - system.a, system.b)
+    # A stack of one: NumPy 1 takes a matrix next to a stack of matrices for a stack of vectors.
+    solved = np.linalg.solve(z[:, None, None] * np.eye(len(system.a)) - system.a, system.b[None])
     return np.asarray(system.c @ solved + system.d)
 
 
