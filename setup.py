@@ -14,6 +14,7 @@ FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]", "latex2mathml"]
 
 
+NODES = "driver feedforward controller servo logger cell player opcua commissioning"
 SERVO_VERBS = "bench can completion demo doctor dsp evaluate incident recover replay simulate stage view"
 TUNING_VERBS = "commission design frequency-response friction reproduce robustness"
 
@@ -135,11 +136,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            *(
-                f"{node}_node = {NAME}.nodes.{node}_node:main"
-                for node in ("driver", "feedforward", "controller", "servo", "logger", "cell", "player", "opcua")
-            ),
-            f"commissioning_node = {NAME}.tuning.graph.commissioning_node:main",
+            *(f"{node}_node = {NAME}.nodes.start:{node}_node" for node in NODES.split()),
             f"dsp_emulator = {NAME}.cli.dsp:main",
             f"straightcomp = {NAME}.cli.main:main",
         ],

@@ -11,6 +11,7 @@ import importlib.util
 import json
 import os
 import random
+import re
 import select
 import signal
 import socket
@@ -37,6 +38,7 @@ is seen at once, and what waits for the others gives up before."""
 _STOP_WITHIN_S = 30.0
 """Beyond what a busy machine or a slow disk takes: a logger that is killed leaves a bag without its index."""
 _PR_SET_PDEATHSIG = 1
+ROS_REMEDY = "source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'"
 
 
 class LaunchError(RuntimeError):
@@ -44,8 +46,14 @@ class LaunchError(RuntimeError):
 
 
 def ros_available() -> bool:
-    """Whether rclpy can be imported here."""
+    """Whether there is an rclpy here; of another distribution or Python it cannot be imported."""
     return importlib.util.find_spec("rclpy") is not None
+
+
+def without_ros(error: ImportError) -> str:
+    """What is wrong and what to do where ``error`` is of a module of ROS; else empty."""
+    ours = re.match(r"(rclpy|rpyutils|ament_\w+|rosidl_\w+|\w+_(msgs|srvs|interfaces))\b", error.name or "")
+    return f"{error}; {ROS_REMEDY}" if ours else ""
 
 
 def executable_command(executable: str) -> list[str]:
@@ -58,7 +66,7 @@ def executable_command(executable: str) -> list[str]:
                 return [str(installed)]
             remedy = f"colcon build --packages-select {PACKAGE}, then source the workspace again"
             raise LaunchError(f"executable '{executable}' is missing in {installed.parent}; remedy: {remedy}")
-    return program(f"from {PACKAGE}.nodes.{executable} import main; raise SystemExit(main())")
+    return program(f"from {PACKAGE}.nodes.start import {executable}; raise SystemExit({executable}())")
 
 
 def verb_command(verb: str, *arguments: str) -> list[str]:

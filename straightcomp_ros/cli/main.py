@@ -131,7 +131,11 @@ def _ended(words: Sequence[str], sentence: str, exit_code: int) -> int:
 
 
 def _missing(error: Exception, verb: Verb) -> str | None:
-    """Which extra to install, if ``error`` is the import of what an extra of the verb brings."""
+    """What to do if ``error`` is the import of ROS, or of what an extra of the verb brings."""
+    from straightcomp_ros.cell.launcher import without_ros
+
+    if isinstance(error, ImportError) and verb.packages == (PACKAGE,) and (sentence := without_ros(error)):
+        return sentence
     name = error.name if isinstance(error, ModuleNotFoundError) else None
     if not (name and verb.extras) or name.partition(".")[0] == verb.module.partition(".")[0]:
         return None

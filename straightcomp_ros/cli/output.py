@@ -56,11 +56,10 @@ notes = _Console(stderr=True)
 
 def require_ros() -> None:
     """Raise CommandFailed with exit code 2 where rclpy is missing."""
-    from straightcomp_ros.cell.launcher import ros_available
+    from straightcomp_ros.cell.launcher import ROS_REMEDY, ros_available
 
     if not ros_available():
-        remedy = "source a ROS 2 Jazzy installation, or: pip install 'straightcomp_ros[ros]'"
-        raise CommandFailed(f"rclpy is not there; {remedy}", exit_code=2)
+        raise CommandFailed(f"rclpy is not there; {ROS_REMEDY}", exit_code=2)
 
 
 def progress_bar() -> Progress:

@@ -1,5 +1,7 @@
 """Where the launcher finds the executables, and what becomes of the processes it starts."""
 
+import os
+import re
 import signal
 import socket
 import subprocess
@@ -43,8 +45,20 @@ def test_a_checkout_runs_its_own_modules_and_not_what_lies_in_the_working_direct
     done = subprocess.run(verb_command("--version"), cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stderr) == (0, "") and done.stdout.startswith("straightcomp ")
     (python, _, node), verb = executable_command("driver_node"), verb_command("demo")[2]
-    assert python == sys.executable and "straightcomp_ros.nodes.driver_node" in node
+    assert python == sys.executable and "import driver_node" in node
     assert node.splitlines()[0] == verb.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    "words", [executable_command("cell_node"), executable_command("opcua_node"), verb_command("view")]
+)
+def test_an_rclpy_of_another_python_ends_nodes_and_verbs_with_what_is_missing_and_the_remedy(words, tmp_path):
+    (tmp_path / "rclpy").mkdir()
+    (tmp_path / "rclpy" / "__init__.py").write_text("import rclpy._rclpy_pybind11")
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert re.fullmatch(r".*: No module named 'rclpy\._rclpy_pybind11'; source a ROS 2 Jazzy .*\n", done.stderr)
 
 
 def test_a_program_that_ends_is_reported_with_its_last_line_and_appends_to_its_log_when_started_again(tmp_path):
