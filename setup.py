@@ -10,7 +10,7 @@ MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
 TUNING = ["cma>=4"]
-FLEET = ["duckdb>=1.1", "fsspec", "pyarrow>=17"]
+FLEET = ["duckdb>=1.1", "fsspec>=2022.11", "pyarrow>=17"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]", "latex2mathml"]
 
 
@@ -56,19 +56,19 @@ setup(
         "jinja2>=3.1",
         "markupsafe",
         "joblib>=1.4",
-        "lz4",
+        "lz4>=4",
         "matplotlib>=3.6",
         "mcap>=1.2",
-        "numba",
-        "numpy",
+        "numba>=0.56.4",
+        "numpy>=1.22",
         "plotly>=6",
         "python-can>=4.3",
-        "pyyaml",
-        "rich",
+        "pyyaml>=6",
+        "rich>=12.3",
         "rosbags>=0.11",
-        "scipy",
+        "scipy>=1.8",
         "shtab>=1.9",
-        "zstandard",
+        "zstandard>=0.16",
     ],
     extras_require={
         # ROS 2 Jazzy itself, where none is installed.

@@ -46,7 +46,7 @@ def file_system(url: str) -> tuple[Any, str, bool]:
 
     try:
         # A list that is kept would hide changes, and fill the memory.
-        files, path = fsspec.url_to_fs(url, use_listings_cache=False)
+        files, path = fsspec.core.url_to_fs(url, use_listings_cache=False)
     except ImportError as error:
         raise HistoryError(f"{url}: {error}; e.g. pip install s3fs") from error
     except ValueError as error:
