@@ -112,7 +112,8 @@ def _columns(cursor: _Cursor, joint: str) -> Columns:
         if points["positions"].shape[1] <= place:
             raise ValueError(f"stage trajectory, point {begin} has no position for '{joint}'")
         part = slice(begin, begin + len(points))
-        times[part] = points["sec"] * np.int64(NANOSECONDS) + points["nanosec"]
+        # NumPy 1 multiplies an array of int32 by a scalar of int64 in int32.
+        times[part] = points["sec"].astype(np.int64) * NANOSECONDS + points["nanosec"]
         positions[part] = points["positions"][:, place]
         if points["velocities"].shape[1] > place:
             velocities[part] = points["velocities"][:, place]
