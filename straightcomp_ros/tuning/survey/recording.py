@@ -214,7 +214,10 @@ def _recognised(
 
 def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
     begin, end = moves[0][0].start, moves[-1][0].stop
-    stops = [(move.stop, rest_end) for move, rest_end in moves if _stands(series, move.stop, rest_end)]
+    # A stage that is elsewhere at the next sample, as in records that were joined, stands there no longer.
+    jumps = 1 + np.flatnonzero(np.abs(np.diff(series.x)) >= SHORTEST_STROKE)
+    rests = [(move.stop, min([rest_end, *jumps[jumps > move.stop][:1]])) for move, rest_end in moves]
+    stops = [rest for rest in rests if _stands(series, *rest)]
     at_rest = len(stops) >= _FEWEST_STOPS
     if at_rest:
         # The stand before the first move is a stop of this run too.

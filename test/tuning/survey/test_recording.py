@@ -101,6 +101,15 @@ def test_stops_make_points_of_their_second_halves():
     assert built.straightness.span == pytest.approx((0.0, LENGTH))
 
 
+def test_the_last_stop_ends_where_the_next_record_was_joined_to_it():
+    _, one = driven(*np.arange(0.0, LENGTH + 1e-9, 0.01), rest=0.5)
+    x = np.concatenate([one, one])
+    passages, _ = recognise(series(np.arange(x.size) / 200.0, x, guide(x)), 5e-3, 6.0)
+    assert [passage.run.name for passage in passages] == ["1", "2"]
+    for passage in passages:
+        assert passage.run.x == pytest.approx(np.linspace(0.0, LENGTH, 41), abs=1e-9)
+
+
 @pytest.mark.parametrize("samples_within", range(5))
 def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path, samples_within):
     stops, path = np.linspace(0.0, LENGTH, 9), tmp_path / "slow.csv"
