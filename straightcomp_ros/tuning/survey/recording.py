@@ -214,10 +214,15 @@ def _recognised(
 
 def _passage(series: Series, moves: Sequence[tuple[Stroke, int]], name: str, step: float, limit: float) -> Passage:
     begin, end = moves[0][0].start, moves[-1][0].stop
-    # A stage that is elsewhere at the next sample, as in records that were joined, stands there no longer.
-    jumps = 1 + np.flatnonzero(np.abs(np.diff(series.x)) >= SHORTEST_STROKE)
-    rests = [(move.stop, min([rest_end, *jumps[jumps > move.stop][:1]])) for move, rest_end in moves]
-    stops = [rest for rest in rests if _stands(series, *rest)]
+    way = 1.0 if moves[0][0].direction == "forward" else -1.0
+    stops = []
+    for move, rest_end in moves:
+        # In records that were joined, the stage may be back at the next sample. A slow logger's may still go on.
+        onward = way * (series.x[move.stop : rest_end] - series.x[max(move.start - 1, 0)])
+        back = np.flatnonzero(onward < SHORTEST_STROKE)
+        rest = (move.stop, move.stop + int(back[0]) if back.size else rest_end)
+        if _stands(series, *rest):
+            stops.append(rest)
     at_rest = len(stops) >= _FEWEST_STOPS
     if at_rest:
         # The stand before the first move is a stop of this run too.

@@ -123,6 +123,17 @@ def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path
         assert passage.run.deviation == pytest.approx(guide(stops), abs=1e-12)
 
 
+def test_no_stop_is_lost_by_a_logger_for_which_a_move_ends_slowly():
+    stops = np.linspace(0.0, LENGTH, 21)
+    x = np.repeat([*stops, *stops[-2::-1]], 2)
+    # Stands for 3.03 s, moves for 4 s.
+    ends = 7.03 * (np.arange(x.size) // 2) + 3.03 * (np.arange(x.size) % 2)
+    time = np.arange(0.013, ends[-1])
+    x = np.interp(time, ends, x)
+    passages, _ = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    assert [passage.run.x.size for passage in passages] == [stops.size] * 2
+
+
 def test_what_a_slow_logger_recorded_well_is_read_without_positions_between_its_samples():
     time, x = driven(0.0, LENGTH, 0.0, rate=2.0, rest=5.0)
     passages, _ = recognise(series(time, x, guide(x)), 5e-3, 6.0)
