@@ -10,6 +10,7 @@ import csv
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -304,12 +305,16 @@ def _rows(
 
 def _check_decimals(header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]) -> None:
     """Raise SurveyError for a column right of a whole deviation that has what only decimals have, a 0 before other
-    digits, and is no counter: rows such as ``20,-3,096,`` below ``x_mm,deviation_um,Remark``."""
+    digits, and is no counter or date, which has one step most often: rows such as ``20,-3,096,`` below
+    ``x_mm,deviation_um,Remark``."""
     for at in (one + 1 for one, name in enumerate(header[:-1]) if name in DEVIATION.columns):
         cells = [row[at].strip() for *_, row in rows]
         padded = next((one for one, cell in enumerate(cells) if re.match(r"0\d", cell)), None)
         whole = (row[at - 1].strip().lstrip("+-").isdigit() for *_, row in rows)
-        if padded is not None and all(map(str.isdigit, cells)) and all(whole) and cells != sorted(cells):
+        if padded is None or not all(map(str.isdecimal, cells)) or not all(whole):
+            continue
+        steps = Counter(abs(float(b) - float(a)) for a, b in itertools.pairwise(cells))
+        if cells != sorted(cells) and 2 * max(steps.values()) < len(cells):
             where, _, row = rows[padded]
             raise SurveyError(
                 f"{where}: {row[at - 1]!r} and {row[at]!r} may be one number; allowed between commas: points for "

@@ -484,6 +484,9 @@ READ = {
         for line in ("_" * 100_000, "." * 100_000, "run 1" + " " * 90_000 + "-", "(" * 90_000 + ") um")
     },
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
+    "a counter that begins anew": csv(
+        "x_mm,deviation_nm,Point", lambda v: f"{v * 1e3:.0f},{[*UM].index(v) % 20:03d}", ","
+    ),
 }
 
 
