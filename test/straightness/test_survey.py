@@ -259,6 +259,10 @@ WAYS = [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")
         ("dir,", [("1,", OUT), ("-1,", OUT)], WAYS[:2]),
         ("Approach,", [("forward,", OUT), ("reverse,", OUT)], WAYS[:2]),
         ("Passed,", [("+,", OUT), ("-,", BACK), ("+,", OUT)], [*WAYS[:2], WAYS[2]]),
+        *(
+            (f"{one},", [("1,", OUT), ("2,", OUT)], WAYS[::2])
+            for one in ("Directory", "Direct", "Sens temp", "Vorrichtung")
+        ),
         # Where x turns, its trend gives them, whatever an instrument calls forward.
         ("Dir,", [("F,", BACK), ("R,", OUT)] * 2, [WAYS[1], WAYS[0], WAYS[3], WAYS[2]]),
         ("run,Approach,", [("7,forward,", BACK), ("7,reverse,", OUT)], [("7", "backward"), ("7", "forward")]),
