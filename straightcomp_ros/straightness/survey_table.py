@@ -124,7 +124,7 @@ _NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METR
 """What before a unit makes another one of it: the opened bracket of ``(0.1 µm)``, the slope of ``µm/m``."""
 _RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
 """What the column of one run may be called, with its number, its direction or both."""
-_NUMBER_OF_RUN = re.compile(r"(?:run|cycle)s?(?:[\s_]*(?:#|n[or]\b.?|number))?$")
+_NUMBER_OF_RUN = re.compile(r"(?:run|cycle)(?:[\s_]*(?:#|n[or]\b.?|number))?$")
 """What the column of the runs' names may be called too."""
 DIRECTIONS: dict[str, Direction] = {
     **dict.fromkeys(["forward", "forwards", "fwd"], "forward"),
@@ -259,8 +259,8 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         # Division keeps a decimal number the nearest float.
         at = number(where, x, cells[x]) / X.columns[x]
         found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
-    header = _with_run(header, found)
-    # A recording over time may have a sign of the speed in each row.
+    # A recording over time may have a counter or a sign of the speed in each row.
+    header = header if TIME_COLUMN in header else _with_run(header, found)
     header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header_line, header, found)
     return Table(header, (x, deviation), found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
 
@@ -486,15 +486,15 @@ def _a_row_for_each(
 
 
 def _with_run(header: list[str], rows: Sequence[Row]) -> list[str]:
-    """The header, and the cells, with the name ``run`` for a column such as ``Run No.`` or ``Cycle``, if the runs take
-    turns in it: without it, they would be one run with points as close as x scatters. Else x says where runs begin."""
-    for at, name in enumerate(header):
+    """The header, and the cells, with a column ``run`` for one such as ``Run No.`` or ``Cycle``, if the runs take turns
+    in it: without it, they would be one run with points as close as x scatters. Else x says where runs begin."""
+    for name in header:
         if _NUMBER_OF_RUN.match(name) and not {"run", RUN_COLUMN}.intersection(header):
             cells = [row.cells[name] for row in rows]
             if 10 * len({*cells}) < len(rows) < 10 * sum(1 for _ in itertools.groupby(cells)):
-                for row in rows:
-                    row.cells["run"] = row.cells.pop(name)
-                return [*header[:at], "run", *header[at + 1 :]]
+                for row, cell in zip(rows, cells, strict=True):
+                    row.cells["run"] = cell
+                return [*header, "run"]
     return header
 
 

@@ -277,11 +277,17 @@ def test_where_runs_or_directions_are_not_named_the_trend_of_x_gives_them(read, 
     assert all((np.diff(run.x) > 0.0).all() for run in runs)
 
 
-@pytest.mark.parametrize("name", ["run", "Run No.", "Cycle"])
+@pytest.mark.parametrize("name", ["run", "Run No.", "Cycle", "Cycle,Cycle"])
 def test_runs_that_take_turns_in_a_file_sorted_by_x_are_known_by_their_column(read, name):
-    rows = [f"{number},{way},{x + number / 1e3},{x % 7}" for x in OUT for number in (1, 2) for way in "FR"]
+    cells = name.count(",") + 1
+    rows = [f"{f'{number},' * cells}{way},{x + number / 1e3},{x % 7}" for x in OUT for number in (1, 2) for way in "FR"]
     runs = read(f"{name},Dir,x_mm,deviation_um", *rows).runs
     assert [(run.name, run.direction, run.x.size) for run in runs] == [(*way, len(OUT)) for way in WAYS]
+
+
+def test_a_number_of_cycles_that_changes_from_point_to_point_is_no_run(read):
+    (run,) = read("Cycles,x_mm,deviation_um", *(row for x in OUT for row in _rows([x], f"{3 + x % 40},"))).runs
+    assert run.x.size == len(OUT)
 
 
 def test_a_direction_that_only_a_part_of_x_has_is_none_of_the_runs(read):
@@ -478,6 +484,9 @@ READ = {
     "a counter right of whole numbers": csv(
         "x_mm,deviation_nm,Point", lambda v: f"{v * 1e3:.0f},{[*UM].index(v):03d}", ","
     ),
+    "a counter that begins anew": csv(
+        "x_mm,deviation_nm,Point", lambda v: f"{v * 1e3:.0f},{[*UM].index(v) % 20:03d}", ","
+    ),
     "a header in a comment": "# x_mm,deviation_um\n" + csv("# made by hand", lambda v: f"{v}", ","),
     "separators after some rows": MM_UM.replace("\n40;", ";\n40;") + ";;\n;\n",
     "rows that end before an empty cell": csv("x_mm;deviation_um;Remark", german).replace("\n40;", ";cold\n40;"),
@@ -488,9 +497,6 @@ READ = {
         for line in ("_" * 100_000, "." * 100_000, "run 1" + " " * 90_000 + "-", "(" * 90_000 + ") um")
     },
     "both marks in a number": csv("x_um\tdeviation_um", lambda v: f"{v:.3f}", "\t", lambda v: f"{v * 1e3:,.1f}"),
-    "a counter that begins anew": csv(
-        "x_mm,deviation_nm,Point", lambda v: f"{v * 1e3:.0f},{[*UM].index(v) % 20:03d}", ","
-    ),
 }
 
 

@@ -412,8 +412,9 @@ STOPS = "time_s,x_mm,deviation_um\n0,1,10\n5,2,20\n10,3,30\n15,3,30\n20,2,20\n25
         (STOPS, 0),
         (STOPS + "30,1,10\n35,1,10\n", 8),
         ("time_s,x_mm,deviation_um\n5.0,1,10\n5.1,2,20\n5.2,3,30\n", 3),
+        ("time_s,x_mm,deviation_um,Cycle\n" + "".join(f"{k / 10},{k},1,{k % 2}\n" for k in range(30)), 30),
     ],
-    ids=["no time", "named runs", "columns of runs", "stops", "stands at its stops", "moves"],
+    ids=["no time", "named runs", "columns of runs", "stops", "stands at its stops", "moves", "a counter"],
 )
 def test_a_csv_with_times_is_a_recording_unless_it_names_runs_or_has_one_row_for_each_stop(tmp_path, text, samples):
     path = tmp_path / "series.csv"
