@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from straightcomp_ros.model.compiled import COMPILING, Compiled, is_ours
+from straightcomp_ros.model.compiled import Compiled, compiling, is_ours
 
 _FLAT_STEP = """\
 def run(k, s, answer, y, r, r_dot, r_ddot, current):
@@ -78,7 +78,7 @@ class Law:
     def prepare(self) -> Law:
         """Compile the step, or read its machine code, now: inside a loop the first call of :meth:`step` must not."""
         if self._run is not None:
-            with COMPILING:
+            with compiling():
                 run = _flat_step(self.function, self.gains.__class__, self.start(0.0).__class__).dispatcher
                 run(self._gains, np.array(self._state), self._answer, 0.0, 0.0, 0.0, 0.0, math.nan)
                 # Nor again for integers.

@@ -4,9 +4,8 @@ compiled: numba notices a change in the file of the compiled function, but not i
 
 import hashlib
 from collections.abc import Callable
-from functools import cache, cached_property, update_wrapper
+from functools import cache, update_wrapper
 from pathlib import Path
-from threading import RLock
 from typing import Any, TypeVar, cast
 
 from straightcomp_ros.parameters.share import private_folder
@@ -15,8 +14,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _FOLDERS = ("model", "control", "straightness", "hardware", "offline", "tuning")
 """Folders of this package with functions that may be compiled, here or deeper."""
-COMPILING = RLock()
-"""Whoever compiles holds it: several threads may ask at a time for the same machine code."""
 _marked: list[Callable[..., Any]] = []
 """Functions marked by :func:`compilable` that are not yet registered with numba."""
 
@@ -45,6 +42,15 @@ def is_ours(function: Callable[..., Any]) -> bool:
     return function.__module__.startswith(f"{__name__.partition('.')[0]}.")
 
 
+def compiling() -> Any:
+    """What a thread holds that compiles: numba's own lock. With a second one, as that of a cached_property before
+    Python 3.12, two threads would wait for each other: numba asks for the functions that one calls with its own held.
+    """
+    import numba  # wholly: while another thread imports it, a module of its own would be there before the rest
+
+    return numba.core.compiler_lock.global_compiler_lock
+
+
 class Compiled:
     """``numba.njit`` with the machine code cached on disk; IEEE arithmetic, nothing reordered.
 
@@ -58,13 +64,14 @@ class Compiled:
         self._function, self._release_gil, self._cached = function, release_gil, cached
         update_wrapper(self, function)
 
-    @cached_property
+    @property
+    @cache  # noqa: B019 - it lives as long as its function
     def dispatcher(self) -> Any:
         """numba's own object, to call without the overhead of :meth:`__call__`."""
         import numba
         from numba.extending import register_jitable
 
-        with COMPILING:
+        with compiling():
             while _marked:
                 register_jitable(error_model="numpy")(_marked.pop())
             settings: Any = numba.config  # numba makes its attributes from the environment

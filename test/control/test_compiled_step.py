@@ -4,6 +4,8 @@ import inspect
 import math
 import pickle
 import random
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -97,6 +99,20 @@ def test_each_of_a_users_own_laws_computes_what_its_step_says_with_whole_numbers
 def test_several_threads_may_begin_with_a_law_at_a_time():
     with ThreadPoolExecutor(2) as threads:
         assert [*threads.map(lambda law: law.step(0.25, 0.0, 0.0, 0.0).current, own_law(3.0, 2))] == [1.5, 1.5]
+
+
+def test_a_thread_that_prepares_a_law_and_one_that_has_begun_with_the_plant_do_not_wait_for_each_other():
+    # In a process of its own: once numba is there, the first is done before the second begins.
+    program = """import sys, threading, time
+from straightcomp_ros.control.laws import ControlParameters, make_law
+from straightcomp_ros.model.plant import advance_to_sample
+from straightcomp_ros.stage.description import StageParameters
+first = threading.Thread(target=lambda: advance_to_sample.dispatcher)
+first.start()
+while "numba" not in sys.modules: time.sleep(1e-3)
+make_law(ControlParameters(), StageParameters()).prepare()
+first.join()"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
 
 
 @pytest.mark.parametrize("name", LAWS)
