@@ -62,6 +62,8 @@ def installed_verbs() -> dict[str, Verb]:
     verbs: dict[str, Verb] = {}
     for entry in sorted(entry_points(group=GROUP)):
         package = entry.dist.name if entry.dist is not None else entry.module.partition(".")[0]
+        # setuptools before 69, as Ubuntu 24.04 has it, writes our own with a hyphen.
+        package = PACKAGE if package == PACKAGE.replace("_", "-") else package
         others = verbs[entry.name].packages if entry.name in verbs else ()
         verbs[entry.name] = Verb(entry.module, (*others, package), tuple(entry.extras))
     return verbs

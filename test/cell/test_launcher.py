@@ -55,6 +55,11 @@ def test_a_checkout_runs_its_own_modules_and_not_what_lies_in_the_working_direct
 def test_an_rclpy_of_another_python_ends_nodes_and_verbs_with_what_is_missing_and_the_remedy(words, tmp_path):
     (tmp_path / "rclpy").mkdir()
     (tmp_path / "rclpy" / "__init__.py").write_text("import rclpy._rclpy_pybind11")
+    # As setuptools 68 of Ubuntu 24.04 writes the name.
+    (tmp_path / "straightcomp_ros-1.dist-info").mkdir()
+    (tmp_path / "straightcomp_ros-1.dist-info" / "METADATA").write_text("Name: straightcomp-ros\nVersion: 1\n")
+    verbs = "[straightcomp.verbs]\nview = straightcomp_ros.cli.view\n"
+    (tmp_path / "straightcomp_ros-1.dist-info" / "entry_points.txt").write_text(verbs)
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(words, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
