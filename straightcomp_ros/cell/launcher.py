@@ -106,7 +106,8 @@ def free_domain(among: Sequence[int] = range(1, 102)) -> str:
 
 def isolated_environment() -> dict[str, str]:
     """This environment, with discovery limited to this computer and, unless one is set, a ROS domain that is free."""
-    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": free_domain(), **os.environ}
+    domain = os.environ["ROS_DOMAIN_ID"] if "ROS_DOMAIN_ID" in os.environ else free_domain()
+    return {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **os.environ, "ROS_DOMAIN_ID": domain}
 
 
 class Graph:

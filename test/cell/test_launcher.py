@@ -6,12 +6,20 @@ import signal
 import socket
 import subprocess
 import sys
+from unittest.mock import Mock
 
 import psutil
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.cell.launcher import Graph, LaunchError, executable_command, free_domain, verb_command
+from straightcomp_ros.cell.launcher import (
+    Graph,
+    LaunchError,
+    executable_command,
+    free_domain,
+    isolated_environment,
+    verb_command,
+)
 
 
 def script(path):
@@ -138,3 +146,11 @@ def test_a_domain_in_which_a_participant_listens_is_not_free(participant):
         with pytest.raises(LaunchError, match="101 is in use"):
             free_domain([taken])
         assert {free_domain([*range(92, 101), taken]) for _ in range(100)} <= set(map(str, range(92, 101)))
+
+
+def test_a_domain_that_is_set_is_taken_where_none_is_free(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    monkeypatch.setattr(socket.socket, "bind", Mock(side_effect=OSError))
+    assert isolated_environment()["ROS_DOMAIN_ID"] == "7"
+    with pytest.raises(LaunchError):
+        free_domain()
