@@ -108,6 +108,9 @@ def test_a_stick_has_the_place_and_time_at_which_it_began_either_way():
         assert event.time == pytest.approx(1.0, abs=0.02) and event.x == pytest.approx(0.1, abs=0.002)
         assert event.duration == pytest.approx(0.5, abs=0.02)
         assert event.slip == pytest.approx(5e-6, rel=0.1)
+        # So has one that trembles by less than what counts as standing.
+        trembling = y + 5e-8 * np.cos(np.pi * np.arange(3000))
+        assert [one.time for one in stick_slips(time, 0.1 * time, trembling, r)] == pytest.approx([1.0], abs=0.02)
         # One that creeps after it is none; and one that jumps the other way neither.
         creeping = np.interp(time, [0.0, 1.0, 1.5, 2.5, 3.0], [0.0, r[1000], r[1000], r[2500], r[-1]])
         assert stick_slips(time, 0.1 * time, creeping, r) == []
