@@ -1,7 +1,7 @@
 """What makes an error that is not the law's: the mains, something locked to x, friction, a mode, a vibration, or the
 loop itself.
 
-Each is known by facts of the record, not from the size of the error:
+Each is known by facts of the record, not by the size of the error:
 
 - **mains**: a line at 50 or 60 Hz or a multiple. It keeps its phase over the whole run, whatever the speed, and is
   there at rest too; the loop's own oscillation mostly wanders off. A limit cycle of few whole samples does not: at its
