@@ -10,7 +10,8 @@ MANIFEST = ElementTree.parse("package.xml").getroot()
 """Version and texts are written in package.xml and nowhere else."""
 OPCUA = ["asyncua>=2.1,<2.2", "cryptography"]
 TUNING = ["cma>=4"]
-FLEET = ["duckdb>=1.1", "fsspec>=2022.11", "pyarrow>=17"]
+# pyarrow 26 needs NumPy 2; a sourced Jazzy brings Ubuntu 24.04's 1.26.
+FLEET = ["duckdb>=1.1", "fsspec>=2022.11", "pyarrow>=17,<26"]
 DOCS = ["mkdocs>=1.6", "mkdocs-material>=9.5", "mkdocstrings[python]", "latex2mathml"]
 
 

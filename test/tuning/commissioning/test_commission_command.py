@@ -134,7 +134,7 @@ def test_a_machine_that_is_roughly_known_ends_tuned_verified_and_documented(
     assert found["steps"]["acceptance"]["figures"]["true_pp_um"] < 0.4
     assert left(folder) <= {*MADE, MARK}
     page = (folder / "certificate.html").read_text()
-    assert "data:image/png;base64," in page and "phase margin" in page and "http" not in page
+    assert "data:image/png;base64," in page and "phase margin" in page and "://" not in page
     certificate = json.loads((folder / "certificate.json").read_text())
     assert "bags/acceptance/acceptance_0.mcap" in certificate["sha256"]
     # What it wrote is what the other commands take.
