@@ -37,8 +37,6 @@ _STOP = 0.2
 """Time in s from which a stand between two moves of a run is a stop for a measurement."""
 _FEWEST_STOPS = 5
 """Stops from which a run is measured at rest."""
-_SLOW = 0.05
-"""Time in s between samples from which a move from stop to stop may have too few samples within to be found."""
 _HALF_WINDOW = 7
 """Readings to each side with which a reading is compared to find spikes."""
 
@@ -164,8 +162,8 @@ def recognise(
         found = _recognised(series, every, step, limit, max_gap)
     except SurveyError as error:
         refused = error
-    if np.median(np.diff(series.time)) >= _SLOW:
-        moving = np.flatnonzero(np.abs(np.diff(series.x)) >= SHORTEST_STROKE)
+    moving = np.flatnonzero(np.abs(np.diff(series.x)) >= SHORTEST_STROKE)
+    if moving.size:
         denser = np.sort(np.concatenate([every, moving + 1.0 / 3.0, moving + 2.0 / 3.0]))
         with suppress(SurveyError):
             passages, partial = _recognised(series, denser, step, limit, max_gap)

@@ -110,11 +110,12 @@ def test_the_last_stop_ends_where_the_next_record_was_joined_to_it():
         assert passage.run.x == pytest.approx(np.linspace(0.0, LENGTH, 41), abs=1e-9)
 
 
+@pytest.mark.parametrize("period", [0.5, 0.04])
 @pytest.mark.parametrize("samples_within", range(5))
-def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path, samples_within):
+def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path, samples_within, period):
     stops, path = np.linspace(0.0, LENGTH, 9), tmp_path / "slow.csv"
     _, x = driven(*stops, *stops[-2::-1], rate=(samples_within + 1) * SPEED / stops[1] * 0.999, rest=5.0)
-    rows = (f"{0.5 * k},{a * 1e3},{guide(a) * 1e6}\n" for k, a in enumerate(x))
+    rows = (f"{period * k},{a * 1e3},{guide(a) * 1e6}\n" for k, a in enumerate(x))
     path.write_text("time_s,x_mm,deviation_um\n" + "".join(rows))
     passages, partial = recognise(series_of_csv(path), 5e-3, 6.0)
     assert [passage.run.direction for passage in passages] == ["forward", "backward"] and partial == 0
