@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick nightly trials processors mutants docs setup clean
+.PHONY: help demo test quick nightly trials processors noble mutants docs setup clean
 
 
 ARGS ?=
@@ -13,9 +13,9 @@ PYTHON ?=
 # A graph of ours talks to this machine only, and tests to no other graph on it.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 # Several processes import the same tests: bytecode that one has made serves the others.
-test nightly processors: export PYTHONDONTWRITEBYTECODE :=
+test nightly processors noble: export PYTHONDONTWRITEBYTECODE :=
 # Above 101 the ports of DDS collide with those that Linux hands out.
-test quick nightly processors: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
+test quick nightly processors noble: export ROS_DOMAIN_ID ?= $(shell echo $$((RANDOM % 101 + 1)))
 
 # A sourced Jazzy is used as it is; elsewhere its wheels come from PyPI.
 JAZZY := $(shell [ "$${ROS_DISTRO:-}" = jazzy ] && python3 -c 'import rclpy' 2> /dev/null && echo yes)
@@ -36,6 +36,7 @@ help:
 	make nightly           all tests, with coverage, as on other processors, some mutants: one to two hours; CONTRIBUTING.md says more
 	make trials ARGS="..." faults, long runs and benches of development, e.g. ARGS="faults --only foreign"
 	make processors        the tests without live nodes as on four other processors: some minutes each; prints a table
+	make noble             the tests without live nodes with the NumPy of Ubuntu 24.04 (Python 3.10 to 3.12)
 	make mutants           200 random changes of the core: tests of the changed folder shall notice 92 %
 	make mutants ARGS="..."  with options, e.g. ARGS="--seed 2 --processes 4"; ARGS=--help lists them
 	make docs              the pages in docs/ as HTML in site/; a warning or a broken link fails
@@ -83,6 +84,8 @@ nightly: $(NIGHTLY)
 	.venv/bin/python -m coverage report --fail-under=85 || code=1
 	echo "Some tests as on other processors:"
 	.venv/bin/python scripts/processors.py -m "not live and not nightly" -n logical --dist worksteal $(PROCESSOR_DEPENDENT:%=test/%) || code=1
+	echo "The tests of make test without live nodes, with Ubuntu 24.04's NumPy:"
+	$(MAKE) --no-print-directory noble || code=1
 	echo "Do the tests notice changes of the core?"
 	$(MAKE) --no-print-directory mutants ARGS="--number 40 --processes $$(nproc) --seed $$(date +%j)" || code=1
 	[ $$code = 0 ] || { echo "Tests failed: see above." >&2; exit 1; }
@@ -98,6 +101,16 @@ trials: setup
 
 processors: setup
 	@exec .venv/bin/python scripts/processors.py -n logical --dist worksteal $(ARGS)
+
+# NumPy, and with the desktop Matplotlib, as a sourced Jazzy brings them; that of the wheels comes with newer ones.
+noble: setup
+	@$(if $(JAZZY),echo "A sourced Jazzy's own: make test has shown it"; exit,)
+	if [ ! -e .venv/noble/installed ]; then
+	  .venv/bin/python -m venv --clear .venv/noble
+	  .venv/noble/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[ros,test]' 'numpy==1.26.*' 'matplotlib<3.8'
+	  touch .venv/noble/installed
+	fi
+	OPENBLAS_NUM_THREADS=1 exec .venv/noble/bin/python -m pytest -m "not live and not nightly" $(PARALLEL) $(ARGS)
 
 # Ends with an error if the draw refutes that the tests of the core's folders notice 92 % of all changes.
 mutants: $(NIGHTLY)
