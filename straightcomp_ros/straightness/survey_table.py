@@ -10,7 +10,6 @@ import csv
 import itertools
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -298,28 +297,7 @@ def _rows(
         names = len(header) - (delimiter == "," and header[-1] == "" and row[-1].strip().isdigit())
         if len(row) != names:
             raise SurveyError(f"{where}: {len(row)} cells, the header has {names} (is there a decimal comma?)")
-    if delimiter == ",":
-        _check_decimals(header, rows)
     return rows
-
-
-def _check_decimals(header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]) -> None:
-    """Raise SurveyError for a column right of a whole deviation that has what only decimals have, a 0 before other
-    digits, and is no counter or date, which has one step most often: rows such as ``20,-3,096,`` below
-    ``x_mm,deviation_um,Remark``."""
-    for at in (one + 1 for one, name in enumerate(header[:-1]) if name in DEVIATION.columns):
-        cells = [row[at].strip() for *_, row in rows]
-        padded = next((one for one, cell in enumerate(cells) if re.match(r"0\d", cell)), None)
-        whole = (row[at - 1].strip().lstrip("+-").isdigit() for *_, row in rows)
-        if padded is None or not all(map(str.isdecimal, cells)) or not all(whole):
-            continue
-        steps = Counter(abs(float(b) - float(a)) for a, b in itertools.pairwise(cells))
-        if cells != sorted(cells) and 2 * max(steps.values()) < len(cells):
-            where, _, row = rows[padded]
-            raise SurveyError(
-                f"{where}: {row[at - 1]!r} and {row[at]!r} may be one number; allowed between commas: points for "
-                "decimals, or decimal commas in quotes"
-            )
 
 
 def _facts(comments: Iterable[str]) -> Iterator[tuple[str, str]]:
@@ -382,7 +360,7 @@ def _name_and_unit(name: str) -> tuple[str, str]:
 
 def _parts_of_run(name: str) -> tuple[str, list[str], list[str]]:
     """The unit of the column of a run, its directions, and its further parts but the words for a run; empty for a name
-    that has no word for a direction and none for a run, or no unit."""
+    that has neither a direction nor such a word, or no unit."""
     words, unit = _name_and_unit(name)
     words = re.sub(r"(?<=\d)[+-]$", lambda sign: _SIGNS[sign[0]], words)
     # A difference of runs, a mean or a deviation of them says so by a second number, a sign or a word.
