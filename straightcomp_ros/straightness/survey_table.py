@@ -138,7 +138,7 @@ WAYS_IN_CELLS: dict[str, Direction] = {
 }
 """What a cell of the column of directions may say too."""
 ALLOWED_WAYS = "forward or backward, fwd or bwd, reverse or rev, f or b, r, + or -, 1 or -1"
-_OF_DIRECTIONS = re.compile(r"(?<![a-z])dir(?!ect(?:ory)?(?![a-z]))|(?<!vor)richtung|(?<![a-z])sens(?: d|$)")
+_OF_DIRECTIONS = re.compile(r"(?<![a-z])dir(?:ection)?s?(?![a-z])|(?<!vor)richtung|(?<![a-z])sens(?: d|$)")
 """What is in the name of a column of directions."""
 _SIGNS = {"+": " forward", "-": " backward"}
 """What a sign after the number of a run means, as in ``Run 1-``."""
