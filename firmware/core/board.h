@@ -1,6 +1,6 @@
 /* A board between the encoders, the power amplifier and the driver on CAN, without operating system and allocation.
  *
- * What it does is in docs/can.md, "What the firmware does"; docs/firmware.md tells how to put it on a microcontroller.
+ * What it does is in docs/can.md, "What the firmware does"; docs/firmware.md says how to put it on a microcontroller.
  * Times are ns of the board's own clock, which must not step. None of these functions may interrupt another one for the
  * same board: call them at one interrupt priority, or mask it. */
 #ifndef BOARD_H

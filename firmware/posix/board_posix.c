@@ -1,6 +1,6 @@
 /* The firmware core as a process of a POSIX system, with a simulated machine in its parent process.
  *
- * `straightcomp dsp --firmware board_posix` starts it. On a bus it keeps the time itself, as a board does. In lockstep the
+ * `straightcomp dsp` starts it where can.firmware names it. On a bus it keeps the time itself, as a board does. In lockstep the
  * parent has the bus and the time: every call of the core is a packet. */
 #include <poll.h>
 #include <stdio.h>
