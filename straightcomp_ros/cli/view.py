@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--priority", type=int, default=0, metavar="N", help=priority)
     advice = "show the advice of `straightcomp history advise` in this file"
     add("--maintenance", default="", metavar="FILE", help=advice)
-    limits = "show the limit of encoder_pp_um in this file with the error, e.g. the limits.yaml beside a certificate"
+    limits = "show the limit of encoder_pp_um in this file with the error, e.g. the limits.yaml next to a certificate"
     add("--limits", default="", metavar="FILE", help=limits)
     add_json(parser)
 
