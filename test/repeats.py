@@ -1,4 +1,4 @@
-"""A pytest plugin: tests that run live nodes may be repeated, no others; each repeat is reported, and many fail the run.
+"""A pytest plugin: tests that run live nodes may be repeated, no others; each is reported, and many fail the run.
 
 A machine that stands still for a second at the wrong moment fails a live test once; a defect fails it again. A defect
 that shows itself now and then passes on repetition too, so no repeat is silent.
