@@ -8,7 +8,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from straightcomp_ros.parameters.declaration import Declaration, ParameterError, belongs_to_ros, to_mapping
@@ -173,7 +172,7 @@ def shipped_parameters(
 
 
 def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
-    """Text of a ROS 2 parameter file with these values, by node and dotted name; NumPy's are written as numbers."""
+    """Text of a ROS 2 parameter file with these values, by node and dotted name."""
     # What is given for all nodes comes last: a parameter on a node's command line joins it, and rcl takes the last.
     described = {f"{STAGE}.{name}": value for name, value in values.get(STAGE, {}).items()}
     own = {name for node, section in values.items() if node != STAGE for name in section}
@@ -183,11 +182,7 @@ def as_parameter_file(values: Mapping[str, Mapping[str, Any]]) -> str:
         for node, section in by_node(values).items()
     } | {ALL_NODES: common}
     # rcl refuses an empty section.
-    tree = {
-        key: {PARAMETERS: {name: one.item() if isinstance(one, np.generic) else one for name, one in section.items()}}
-        for key, section in sections.items()
-        if section
-    }
+    tree = {key: {PARAMETERS: section} for key, section in sections.items() if section}
     return dump_yaml(tree)
 
 

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import yaml
 
 from straightcomp_ros.parameters.declaration import ParameterError, flatten
@@ -198,8 +199,9 @@ class _Dumper(yaml.SafeDumper):  # type: ignore[misc, unused-ignore]
 
 _Dumper.add_implicit_resolver(_TAG + "bool", re.compile("^[yYnN]$"), list("yYnN"))
 _Dumper.add_implicit_resolver(_TAG + "float", re.compile(f"(?:{_FLOAT})$"), list("-+.0123456789"))
+_Dumper.add_multi_representer(np.generic, lambda dumper, number: dumper.represent_data(number.item()))
 
 
 def dump_yaml(tree: Any) -> str:
-    """The YAML text of plain values, in their order."""
+    """The YAML text of plain values, NumPy's numbers among them, in their order."""
     return str(yaml.dump(tree, Dumper=_Dumper, sort_keys=False))

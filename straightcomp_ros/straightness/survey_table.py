@@ -149,6 +149,8 @@ _UNIT_WITHIN = re.compile(
 """A name with a direction or a number behind its unit, as ``Run 1 [um] forward``; ``Run 1 [um] smoothed`` is no run."""
 _UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
 """What stands in place of a unit: ``[]``, ``(-)``, ``[microns]``."""
+_NUMBERED = re.compile(r"\.\d+$")
+"""How programs number the second of two equal names, as ``x_mm.1``."""
 _COMPUTED = {
     *["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "s", "sigma", "σ", "ø"],
     *["repeatability", "uncertainty"],
@@ -341,8 +343,7 @@ def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
     found = []
     for cell in names:
         name = _spelled(cell)
-        # Programs number the second of two equal names: deviation_um.1.
-        first = _spelled(re.sub(r"\.\d+$", "", cell.strip()))
+        first = _spelled(_NUMBERED.sub("", cell.strip()))
         quantity, _, unit = (first if first.startswith(("deviation_", "straightness_")) else name).rpartition("_")
         quantity = _SYNONYMS.get(quantity, quantity)
         usual = f"{quantity}_{unit}" if unit in PER_METRE else name
@@ -432,8 +433,7 @@ def _check_other_x(
     """Raise SurveyError for a column that is as long as that of ``x``, has other positions, and is of some of the
     ``runs``: these would be read at ``x``, turned round if they were listed as they were driven."""
     for at, name in enumerate(header):
-        # Programs number the second of two equal names: x_mm.1.
-        _, unit = _name_and_unit(re.sub(r"\.\d+$", "", name))
+        _, unit = _name_and_unit(_NUMBERED.sub("", name))
         # One x for all runs, as of the machine, stands with the first x, or all runs stand between the two.
         between = {min(x, at) < run < max(x, at) for run in runs}
         if not (unit and _OF_X.search(name) and (len(between) > 1 or DIRECTIONS.keys() & re.findall("[a-z]+", name))):
