@@ -300,7 +300,7 @@ def unstable_where(control: ControlParameters, stage: StageParameters) -> str:
         linear = linearised(make_law(described_state(control, stage)[1], stage))
         if not _stable(sampled_plant(stage), linear):
             return AS_DESCRIBED
-    except ValueError:
+    except NotLinear:
         return ""
     corners = with_facts_off(stage, possible=True)
     return next((name for name, one in corners.items() if not _stable(sampled_plant(one), linear)), "")
@@ -392,7 +392,7 @@ def missing_margin(control: ControlParameters, stage: StageParameters) -> str | 
         return None
     try:
         missed = next(_missed(control, stage), None)
-    except ValueError:
+    except NotLinear:
         return None
     if missed is None:
         return None

@@ -18,6 +18,7 @@ from typing import NamedTuple
 from straightcomp_ros.control.laws import ControlParameters, make_law, states_of
 from straightcomp_ros.control.margins import (
     MECHANICS,
+    NotLinear,
     StateSpace,
     closed_loop,
     last_stable,
@@ -125,7 +126,7 @@ class StabilityCheck:
             law = make_law(one, self._stage)
             try:
                 laws = tuple(linearised(law, with_current=measured) for measured in (False, True))
-            except ValueError:
+            except NotLinear:
                 # The current limit is nearer than any step of the differences.
                 misses.append(("linear at rest", _NOT_LINEAR))
                 continue
