@@ -24,7 +24,7 @@ from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.straightness.feedforward import along
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey
-from straightcomp_ros.straightness.survey_table import WAYS, Direction
+from straightcomp_ros.straightness.survey_header import WAYS, Direction
 
 SUMMARY = "error of the map by spacing and noise of the survey"
 GUIDE = load_map(MapParameters("config/guide_synthetic.csv", smooth="none"))

@@ -18,7 +18,7 @@ from straightcomp_ros.analysis.metrics import straightness_over
 from straightcomp_ros.analysis.record import Array
 from straightcomp_ros.analysis.straightness_statement import budget_rows
 from straightcomp_ros.bags.information import origin
-from straightcomp_ros.straightness.survey_table import Direction
+from straightcomp_ros.straightness.survey_header import Direction
 
 _FIRST_YEAR = 2001
 """Stamps of this year and before are simulated time."""

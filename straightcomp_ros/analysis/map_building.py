@@ -25,8 +25,8 @@ from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessM
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import GRACE, Run, Survey, write_survey
+from straightcomp_ros.straightness.survey_header import WAYS, SurveyError
 from straightcomp_ros.straightness.survey_runs import on_common_grid, repeatability
-from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
 
 GAUSSIAN = 1.4826
 FLOOR = 20e-9

@@ -23,7 +23,8 @@ from straightcomp_ros.bags.information import origin
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run
-from straightcomp_ros.straightness.survey_table import MARK, Direction
+from straightcomp_ros.straightness.survey_header import Direction
+from straightcomp_ros.straightness.survey_table import MARK
 
 _POINTS = 2000
 _LONGEST, _LINES = 54, 3

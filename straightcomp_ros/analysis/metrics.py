@@ -17,7 +17,7 @@ from straightcomp_ros.straightness.residual import (
     peak_to_peak,
     rms,
 )
-from straightcomp_ros.straightness.survey_table import Direction
+from straightcomp_ros.straightness.survey_header import Direction
 
 _UNITS = {
     **dict.fromkeys(("control_activity", "control_rms_step", "resting_rms_step"), ("_A", 1.0)),

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey_table import Direction
+from straightcomp_ros.straightness.survey_header import Direction
 
 Array = NDArray[np.float64]
 SPEED_SPAN = 0.02

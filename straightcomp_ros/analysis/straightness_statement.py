@@ -42,8 +42,8 @@ from straightcomp_ros.analysis.record import Array, group_means, whole, whole_wa
 from straightcomp_ros.bags import WARNINGS
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import minimum_zones, rms, zone_along
+from straightcomp_ros.straightness.survey_header import WAYS, Direction
 from straightcomp_ros.straightness.survey_runs import cubic_spline
-from straightcomp_ros.straightness.survey_table import WAYS, Direction
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator

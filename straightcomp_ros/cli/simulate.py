@@ -31,7 +31,7 @@ from straightcomp_ros.offline.starts import Run, Spread, can_run, run_stroke, ru
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 SUMMARY = "run strokes forward and back offline"
 PURPOSE = "run"

@@ -39,7 +39,7 @@ from straightcomp_ros.parameters.parameter_file import ALL_NODES, commented
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey, load_map
 from straightcomp_ros.straightness.survey import read_survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 SUMMARY = "describe your own stage: write the description, check it, show what follows"
 PURPOSE = "set up"

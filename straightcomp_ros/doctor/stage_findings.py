@@ -30,7 +30,7 @@ from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, handover
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
 from straightcomp_ros.straightness.smoothing import ROUNDING
-from straightcomp_ros.straightness.survey_table import WAYS, SurveyError
+from straightcomp_ros.straightness.survey_header import WAYS, SurveyError
 
 EASY, FEASIBLE = 0.5, 0.65
 """Of the unstable pole times the dead time: gains with usual margins exist below the first, none beyond the second."""

@@ -26,7 +26,7 @@ from straightcomp_ros.safety.faults import Fault, Finding
 from straightcomp_ros.stage.description import StageParameters, TruthParameters, true_plant
 from straightcomp_ros.straightness.feedforward import follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 _AT_INDEX_NS = 10_000_000
 _INDEX_M = 1e-9

@@ -19,7 +19,7 @@ from straightcomp_ros.runtime.streams import LOOK_AHEAD_S
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.straightness.feedforward import FADE_TIME, Feedforward, follower
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.timing.delays import StampGaps
 from straightcomp_ros.timing.node_timing import LOST, SAMPLES
 

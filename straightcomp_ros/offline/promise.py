@@ -37,7 +37,7 @@ from straightcomp_ros.stage.description import Factors, deviating
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Run, Survey
-from straightcomp_ros.straightness.survey_table import Direction, SurveyError
+from straightcomp_ros.straightness.survey_header import Direction, SurveyError
 
 _SAME = 0.02
 """Relative difference from the described motion within which a recorded one is that motion."""

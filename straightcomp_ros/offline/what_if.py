@@ -22,7 +22,7 @@ from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS, Values,
 from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import find_survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 _WAYPOINT_EVERY = 0.01
 """Time in s between waypoints: at a corner of the speed profile, 0.2 m/s², x errs by up to 3 µm, r by 1 nm."""

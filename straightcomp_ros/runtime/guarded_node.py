@@ -23,7 +23,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.safety.faults import one_line
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 RUN_FAILURES = (BagError, HardwareError, OSError)
 """Raised while a node runs, when a bag, the machine or a file fails: no fault of a message, so they end the node."""

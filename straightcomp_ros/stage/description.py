@@ -24,7 +24,7 @@ from straightcomp_ros.model.plant import PlantParameters, PlatformParameters
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, group, parameter, to_mapping
 from straightcomp_ros.straightness.feedforward import FeedforwardParameters, outdated_handover
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
-from straightcomp_ros.straightness.survey_table import WAYS
+from straightcomp_ros.straightness.survey_header import WAYS
 
 T = TypeVar("T", ActuatorParameters, LuGreParameters)
 _CHANGEABLE = ("motion.", "guide.", "actuator.current_limit", "serial")

@@ -16,8 +16,8 @@ from straightcomp_ros.parameters.share import named_file
 from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import smoothed
 from straightcomp_ros.straightness.survey import Survey, read_survey
+from straightcomp_ros.straightness.survey_header import WAYS, Direction, SurveyError
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
-from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.residual import Array, rms
 from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_header import WAYS
 from straightcomp_ros.straightness.survey_runs import cubic_spline
-from straightcomp_ros.straightness.survey_table import WAYS
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -25,15 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.output_files import write_whole
+from straightcomp_ros.straightness.survey_header import DEVIATION, Direction, SurveyError, X
 from straightcomp_ros.straightness.survey_table import (
     ALLOWED_WAYS,
-    DEVIATION,
     MARK,
     RUN_COLUMN,
     WAYS_IN_CELLS,
-    Direction,
-    SurveyError,
-    X,
     decimal,
     numbered_lines,
     table_of,
@@ -217,7 +214,7 @@ def check_run(
     for neighbouring points farther apart than ``max_gap`` in m."""
     # Units before gaps: x in the wrong unit would else be called a gap of metres.
     for quantity, column, values in ((X, columns[0], run.x), (DEVIATION, columns[1], run.deviation)):
-        _, units, low, high = quantity
+        _, units, _, low, high = quantity
         extent = float(np.ptp(values))
         if low <= extent <= high:
             continue

@@ -21,7 +21,7 @@ import numpy as np
 
 from straightcomp_ros.straightness.residual import Array, peak_to_peak
 from straightcomp_ros.straightness.survey import GRACE, Survey
-from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
+from straightcomp_ros.straightness.survey_header import WAYS, Direction, SurveyError
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -1,9 +1,7 @@
-"""A table of measured points as people and instruments write it: its encoding, its header, its separators and marks.
+"""A table of measured points as people and instruments write it: its encoding, its separators and decimal marks.
 
-The column's name ends with the unit: x in m, mm, um or in (inch), deviation in m, mm, um, nm, in or uin. The names and
-separators of instruments and spreadsheets are read as well: ``Position (mm)``, ``Straightness [µm]``, semicolons or
-tabs between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``. Each run may have a
-column of its own: ``Run 1 forward [µm]``, ``Run 1- [µm]``. Other columns are ignored, but one that may be a run too.
+Semicolons or tabs may stand between the cells, and then decimal commas; lines before the header, and Excel's ``sep=``.
+`survey_header.py` says what a column is by its name.
 """
 
 import csv
@@ -12,17 +10,28 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from straightcomp_ros.parameters.yaml_text import bounded_bytes, marked_encoding, number_or_nan
-
-Direction = Literal["forward", "backward"]
-WAYS: tuple[Direction, ...] = ("forward", "backward")
-
-
-class SurveyError(ValueError):
-    """A survey cannot be used; the message names the file, the line or the position, the value and what is allowed."""
-
+from straightcomp_ros.straightness.survey_header import (
+    COMPUTED,
+    DEVIATION,
+    DIRECTIONS,
+    PER_METRE,
+    TIME_COLUMN,
+    WAYS,
+    Chosen,
+    Column,
+    Direction,
+    SurveyError,
+    X,
+    chosen_columns,
+    column_named,
+    column_of,
+    columns,
+    is_complete,
+    runs_of,
+)
 
 _ENCODINGS = ("utf-8", "cp1252")
 """The second is that of spreadsheets and instruments in Western Europe and America; names and units have its µ."""
@@ -76,25 +85,6 @@ def decimal(value: float, places: int) -> str:
     return "0" if text == "-0" else text
 
 
-class Quantity(NamedTuple):
-    """A length in a survey: how many of the unit make a metre by the names that its column may have, and the allowed
-    extent (largest minus smallest value) of a run in m. An extent outside of it is more likely a wrong unit than an odd
-    machine."""
-
-    name: str
-    columns: Mapping[str, float]
-    smallest: float
-    largest: float
-
-
-PER_METRE = {"m": 1.0, "mm": 1e3, "um": 1e6, "nm": 1e9, "in": 1.0 / 0.0254, "uin": 1e6 / 0.0254}
-"""How many of a unit make a metre."""
-
-
-X = Quantity("x", {f"x_{unit}": PER_METRE[unit] for unit in ("m", "mm", "um", "in")}, 0.01, 20.0)
-DEVIATION = Quantity("deviation", {f"deviation_{unit}": per_metre for unit, per_metre in PER_METRE.items()}, 1e-8, 5e-3)
-
-
 class Row(NamedTuple):
     """Line number, text of each cell by its column's normalised name, and x and deviation in m."""
 
@@ -113,24 +103,6 @@ class Table(NamedTuple):
     facts: dict[str, str]
 
 
-_SYNONYMS = {"position": "x", "target": "x", "straightness": "deviation"}
-"""What instruments call the two quantities."""
-_OF_X = re.compile(r"(?<![a-z])(?:x|position|target)(?![a-z])")
-"""What is in the name of a further column of x, as ``Position back (mm)`` or ``x_mm.1``."""
-_NAME_AND_UNIT = re.compile(rf"([a-z]+)[\s_]*[\[(/,]?\s*({'|'.join(PER_METRE)})\s*[\])]?")
-_OWN_UNIT = re.compile(rf"(.*?(?:(?<=\d)-(?=[\s_]))?)(?:[\s_.:-]+|[\s_]*[\[(/,]\s*)({'|'.join(PER_METRE)})\s*[\])]?")
-_NO_LENGTH = re.compile(rf"[\[(][^\])]*$|\d[.,]\d+\s*$|\b(?:{'|'.join({*PER_METRE} - {'in'})}|per)\s*$")
-"""What before a unit makes another one of it: the opened bracket of ``(0.1 µm)``, the slope of ``µm/m``."""
-_RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
-"""What the column of one run may be called, with its number, its direction or both."""
-_NUMBER_OF_RUN = re.compile(r"(?:run|cycle)(?:[\s_]*(?:#|n[or]\b.?|number))?$")
-"""What the column of the runs' names may be called too."""
-DIRECTIONS: dict[str, Direction] = {
-    **dict.fromkeys(["forward", "forwards", "fwd"], "forward"),
-    **dict.fromkeys(["backward", "backwards", "bwd", "reverse", "rev"], "backward"),
-}
-_VAGUE_WAYS = {"back", "bkwd", "forth", "rearward", "return", "reversed"}
-"""Words for a direction that may mean either, or something else."""
 WAYS_IN_CELLS: dict[str, Direction] = {
     **DIRECTIONS,
     **dict.fromkeys(["f", "+", "1", "+1", "1.0"], "forward"),
@@ -140,38 +112,17 @@ WAYS_IN_CELLS: dict[str, Direction] = {
 ALLOWED_WAYS = "forward or backward, fwd or bwd, reverse or rev, f or b, r, + or -, 1 or -1"
 _OF_DIRECTIONS = re.compile(r"(?<![a-z])dir(?:ection)?s?(?![a-z])|(?<!vor)richtung|(?<![a-z])sens(?: d|$)")
 """What is in the name of a column of directions."""
-_SIGNS = {"+": " forward", "-": " backward"}
-"""What a sign after the number of a run means, as in ``Run 1-``."""
-_BEHIND = "|".join([*DIRECTIONS, *_RUN_WORDS, *_VAGUE_WAYS])
-_UNIT_WITHIN = re.compile(
-    rf"(.*?)\s*([\[(]\s*(?:{'|'.join(PER_METRE)})\s*[\])])\s*(?=\S)([+-]?)((?:[\W\d_]|{_BEHIND})*)$"
-)
-"""A name with a direction or a number behind its unit, as ``Run 1 [um] forward``; ``Run 1 [um] smoothed`` is no run."""
-_UNKNOWN_UNIT = re.compile(r"[\[(](?:[\s-]*|u|mic\w*)[\])]")
-"""What stands in place of a unit: ``[]``, ``(-)``, ``[microns]``."""
-_NUMBERED = re.compile(r"\.\d+$")
-"""How programs number the second of two equal names, as ``x_mm.1``."""
-_COMPUTED = {
-    *["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "s", "sigma", "σ", "ø"],
-    *["repeatability", "uncertainty"],
-}
-"""What names a figure of runs among the columns of runs."""
-_RUN = re.compile(rf"(deviation_(?:{'|'.join(PER_METRE)})) \((?:(forward|backward) )?run(?: \d+)?\)")
-"""What :func:`_of_run` makes of a run's column."""
-TIME_COLUMN = "time_s"
-"""Of a recording over time."""
+_NUMBER_OF_RUN = re.compile(r"(?:run|cycle)(?:[\s_]*(?:#|n[or]\b.?|number))?$")
+"""What the column of the runs' names may be called too."""
 RUN_COLUMN = "column of the run"
 """Name of the cell that says which column a point is from."""
-_SINGLE = {"run", "direction", TIME_COLUMN, *X.columns, *DEVIATION.columns}
-"""The columns in which each row has a cell."""
-_INCH = re.compile(r"(?<![a-z])(u|micro)?inch(?:es)?\b")
+_SINGLE = ("run", "direction", TIME_COLUMN)
+"""Names of columns that a file has once."""
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 """Excel's own first line, which names the delimiter."""
 _LONGEST_LINE = 100_000
 """Characters; the csv module reads cells of some more."""
-_LONGEST_NAME = 200
-"""Characters of a column's name that are read: its patterns take time by the square of its length."""
 _COMMENT = re.compile(r'\s*(#|"#[^"]*"[\s;,]*$)')
 """Also as a spreadsheet writes it that has it in a cell."""
 MARK = "encoder reference"
@@ -207,19 +158,19 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
     lines = [(line, text) for line, text in every if not _COMMENT.match(text)]
     if not lines:
         raise SurveyError(f"survey {path}: is empty; allowed: a header row, and a row for each point")
-    own = {_spelled(name): _chosen(path, quantity, name) for quantity, name in (names or {}).items()}
-    first, delimiter, header = _header(lines, own)
-    if not _complete(header):
+    chosen = chosen_columns(path, names or {})
+    first, delimiter, header = _header(lines, chosen)
+    if not is_complete(header):
         # Programs that write numbers write the header as a comment.
         head = [(line, text.strip(' \t"#')) for line, text in every if _COMMENT.match(text) and line < lines[0][0]]
-        at_head, mark, names_there = _header([*head, *lines], own)
-        if _complete(names_there):
+        at_head, mark, names_there = _header([*head, *lines], chosen)
+        if is_complete(names_there):
             lines, first, delimiter, header = [*head[:at_head], *lines], at_head, mark, names_there
-    runs = _columns_of_runs(header)
+    runs = runs_of(header)
     try:
         header_line = f"survey {path}, line {lines[first - 1][0]}"
-        x = _column(header_line, header, X)
-        deviation = next(iter(runs.values()))[0] if runs else _column(header_line, header, DEVIATION)
+        at_x = column_of(X, header_line, header)
+        deviation = next(iter(runs.values())) if runs else header[column_of(DEVIATION, header_line, header)]
     except SurveyError as error:
         text = "\n".join(text for _, text in lines)
         kind = next((name for name, mark in OTHER_KINDS.items() if re.search(mark, text, re.MULTILINE)), None)
@@ -230,55 +181,55 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
             f"with straightcomp map convert {path} --format {kind} -o survey.csv; else begin it with a line such as "
             "x_mm,deviation_um, between commas, semicolons or tabs"
         ) from error
-    positions = {x.partition("_")[2]} - {deviation.partition("_")[2]}
-    known = bool(runs) or deviation in own.values() or {"run", "direction"} <= {*header}
-    of_runs = [name for name in header if _unit_of_run(name) not in (None, *positions)]
+    x, names_of = header[at_x], [one.name for one in header]
+    known = runs or DEVIATION.name in chosen or {"run", "direction"} <= {*names_of}
+    of_runs = [one for one in header if one.seems_run and (one.unit != x.unit or x.unit == deviation.unit)]
     # The mean of one direction is no deviation: that is the other one.
-    if not known and (len(of_runs) > 1 or any("ward run" in name for name in of_runs)):
+    if not known and (len(of_runs) > 1 or any(one.is_run and one.ways for one in of_runs)):
         raise SurveyError(
-            f"{header_line}: {deviation} stands among columns of runs; remove it, or choose it by --deviation-column"
+            f"{header_line}: {deviation.name} stands among columns of runs; remove it, or choose it by "
+            "--deviation-column"
         )
-    for name in ("run", "direction", TIME_COLUMN):
-        if header.count(name) > 1:
+    for name in _SINGLE:
+        if names_of.count(name) > 1:
             raise SurveyError(f"{header_line}: {name} is given twice; allowed: one column of this name")
     rows = _rows(path, lines[first:], delimiter, header)
     if runs:
         _check_columns_of_runs(header_line, header, runs, rows)
-        if x not in own.values():
-            _check_other_x(header_line, header, header.index(x), runs, rows)
-        header, rows = _a_row_for_each(runs, header, rows)
-    numbers = [at for at, name in enumerate(header) if name in (x, deviation, TIME_COLUMN)]
+        if X.name not in chosen:
+            _check_other_x(header_line, header, at_x, runs, rows)
+        names_of, rows = _a_row_for_each(runs, names_of, rows)
+    quantities = x.name, f"{DEVIATION.name}_{deviation.unit}"
+    numbers = [at for at, name in enumerate(names_of) if name in (*quantities, TIME_COLUMN)]
     for _, _, row in rows:
-        for column in numbers:
-            row[column] = _SPACED.sub("", row[column]).replace("\u2212", "-")
+        for at in numbers:
+            row[at] = _SPACED.sub("", row[at]).replace("\u2212", "-")
     # Between commas a point is the decimal mark, unless a comma stands in a number, in quotes.
-    if delimiter != "," or any("," in row[column] for _, _, row in rows for column in numbers):
+    if delimiter != "," or any("," in row[at] for _, _, row in rows for at in numbers):
         _use_points(rows, numbers, delimiter)
     found = []
     for where, line, row in rows:
-        cells = dict(zip(header, map(str.strip, row), strict=True))
+        cells = dict(zip(names_of, map(str.strip, row), strict=True))
         # Division keeps a decimal number the nearest float.
-        at = number(where, x, cells[x]) / X.columns[x]
-        found.append(Row(line, cells, at, number(where, deviation, cells[deviation]) / DEVIATION.columns[deviation]))
-    # A recording over time may have a counter or a sign of the speed in each row.
-    header = header if TIME_COLUMN in header else _with_run(header, found)
-    header = header if {"direction", TIME_COLUMN}.intersection(header) else _with_direction(header_line, header, found)
-    return Table(header, (x, deviation), found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
-
-
-def _chosen(path: Path, quantity: str, name: str) -> str:
-    """The column of this quantity that has the file's own name, as ``deviation_um``."""
-    _, unit = _name_and_unit(name)
-    if not unit:
-        raise SurveyError(
-            f"survey {path}: --{quantity}-column {name!r}: its name does not end with a unit; allowed: one of "
-            f"{', '.join(PER_METRE)}, as in '{name} [mm]'"
+        found.append(
+            Row(
+                line,
+                cells,
+                *(
+                    number(where, name, cells[name]) / PER_METRE[one.unit]
+                    for name, one in zip(quantities, (x, deviation), strict=True)
+                ),
+            )
         )
-    return f"{quantity}_{unit}"
+    # A recording over time may have a counter or a sign of the speed in each row.
+    if TIME_COLUMN not in names_of:
+        names_of = _with_run(names_of, found)
+        names_of = names_of if "direction" in names_of else _with_direction(header_line, names_of, found)
+    return Table(names_of, quantities, found, dict(_facts(text for _, text in every if _COMMENT.match(text))))
 
 
 def _rows(
-    path: Path, lines: Sequence[tuple[int, str]], delimiter: str, header: Sequence[str]
+    path: Path, lines: Sequence[tuple[int, str]], delimiter: str, header: Sequence[Column]
 ) -> list[tuple[str, int, list[str]]]:
     """Where each row stands in words, its line and its cells, as many as the header has."""
     rows = [
@@ -291,12 +242,13 @@ def _rows(
         while len(row) > len(header) and not row[-1].strip():
             row.pop()
         missing = header[len(row) :]
+        needed = any(one.quantity or one.name in _SINGLE for one in missing)
         # Between commas a row may be too short or too long by decimals that were split off.
         # Otherwise a row of one cell has other separators than the header.
-        if not any(missing) if delimiter == "," else len(row) > 1 and _SINGLE.isdisjoint(missing):
+        if not any(one.name for one in missing) if delimiter == "," else len(row) > 1 and not needed:
             row += [""] * len(missing)
         # Decimals that are split off may fall into a last column without a name.
-        names = len(header) - (delimiter == "," and header[-1] == "" and row[-1].strip().isdigit())
+        names = len(header) - (delimiter == "," and header[-1].name == "" and row[-1].strip().isdigit())
         if len(row) != names:
             raise SurveyError(f"{where}: {len(row)} cells, the header has {names} (is there a decimal comma?)")
     return rows
@@ -311,7 +263,7 @@ def _facts(comments: Iterable[str]) -> Iterator[tuple[str, str]]:
             yield name, text.strip()
 
 
-def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[int, str, list[str]]:
+def _header(lines: Sequence[tuple[int, str]], chosen: Chosen) -> tuple[int, str, list[Column]]:
     """Index of the line after the first header with both columns, its delimiter and cells; units may have a line of
     their own below the names. If none has them, of the first line but Excel's own."""
     named = _SEPARATOR_LINE.fullmatch(lines[0][1].strip())
@@ -321,146 +273,70 @@ def _header(lines: Sequence[tuple[int, str]], own: Mapping[str, str]) -> tuple[i
         for delimiter in delimiters:
             names, below = (next(csv.reader([text], delimiter=delimiter)) for _, text in (lines[at], lines[at + 1]))
             for size, cells in enumerate((names, map(" ".join, itertools.zip_longest(names, below, fillvalue=""))), 1):
-                header = _cells(cells, own)
-                if _complete(header):
+                header = columns(cells, chosen)
+                if is_complete(header):
                     return at + size, delimiter, header
     delimiter = next((mark for mark in delimiters if mark in lines[first][1]), ",")
-    return first + 1, delimiter, _cells(next(csv.reader([lines[first][1]], delimiter=delimiter)), own)
-
-
-def _complete(header: Sequence[str]) -> bool:
-    """Whether the header has a column of x and one of deviation, or one for each run."""
-    missing = [one for one in (X, DEVIATION) if not any(name in header for name in one.columns)]
-    return not missing or (missing == [DEVIATION] and bool(_columns_of_runs(header)))
-
-
-def _cells(names: Iterable[str], own: Mapping[str, str]) -> list[str]:
-    """The cells of a header as they are compared: ``x_mm`` for ``X [mm]``, ``position (mm)``, or a name of ``own``.
-
-    Where the column of a quantity is chosen by its own name, no other is meant.
-    """
-    chosen = {name.partition("_")[0] for name in own.values()}
-    found = []
-    for cell in names:
-        name = _spelled(cell)
-        first = _spelled(_NUMBERED.sub("", cell.strip()))
-        quantity, _, unit = (first if first.startswith(("deviation_", "straightness_")) else name).rpartition("_")
-        quantity = _SYNONYMS.get(quantity, quantity)
-        usual = f"{quantity}_{unit}" if unit in PER_METRE else name
-        other = f"({usual})" if unit in PER_METRE and quantity in chosen else usual
-        of_run = "" if "deviation" in chosen else _of_run(cell)
-        found.append(own.get(name) or of_run or other)
-    return found
-
-
-def _name_and_unit(name: str) -> tuple[str, str]:
-    """What a column's name says before its unit, and the unit, empty where it does not end with a unit of length."""
-    parts = _OWN_UNIT.fullmatch(_plain(name))
-    return (parts[1], parts[2]) if parts and not _NO_LENGTH.search(parts[1]) else ("", "")
-
-
-def _parts_of_run(name: str) -> tuple[str, list[str], list[str]]:
-    """The unit of the column of a run, its directions, and its further parts but the words for a run; empty for a name
-    that has neither a direction nor such a word, or no unit."""
-    words, unit = _name_and_unit(name)
-    words = re.sub(r"(?<=\d)[+-]$", lambda sign: _SIGNS[sign[0]], words)
-    # A difference of runs, a mean or a deviation of them says so by a second number, a sign or a word.
-    parts = re.findall(r"\d+|[^\W\d_]+|[^\s\w.#-]", words)
-    if not unit or not {*DIRECTIONS, *_RUN_WORDS, *_VAGUE_WAYS}.intersection(parts):
-        return "", [], []
-    others = [part for part in parts if part not in {*DIRECTIONS, *_RUN_WORDS, "deviation", "straightness"}]
-    return unit, [DIRECTIONS[part] for part in parts if part in DIRECTIONS], others
-
-
-def _of_run(name: str) -> str:
-    """``deviation_um (forward run 1)`` for ``Run 1 fwd [µm]``, the column of a run; empty for another name."""
-    unit, ways, others = _parts_of_run(name)
-    if not unit or len(ways) > 1 or len(others) > 1 or any(not one.isdigit() for one in others):
-        return ""
-    return f"deviation_{unit} ({' '.join([*ways, 'run', *others])})"
-
-
-def _columns_of_runs(header: Sequence[str]) -> dict[int, tuple[str, str]]:
-    """The column of deviation and the direction, empty where none is named, of each run that has a column of its own,
-    by its place; empty for another file."""
-    found = {at: (run[1], run[2] or "") for at, name in enumerate(header) if (run := _RUN.fullmatch(name))}
-    alike = len({(unit, bool(way)) for unit, way in found.values()}) == 1
-    other = {"run", "direction", *DEVIATION.columns}.intersection(header)
-    return found if alike and not other else {}
-
-
-def _unit_of_run(name: str) -> str | None:
-    """The unit, empty if unknown, of a column that is a run by its number or direction or has no name; or None."""
-    if (unit := _RUN.sub(lambda run: run[1].partition("_")[2], name).strip("[]()_ ")) in PER_METRE:
-        return unit
-    words, unit = _name_and_unit(name)
-    words = re.sub(rf"(?<![a-z])(?:{'|'.join(_VAGUE_WAYS)})(?![a-z])", "", words or _UNKNOWN_UNIT.sub("", name))
-    return unit if re.search(r"\d|ward", _of_run(f"{words} m")) else None
-
-
-def _unit_of_vague(name: str) -> str:
-    """The unit of a column among those of runs whose name does not exclude that it is one; empty for another."""
-    unit, ways, others = _parts_of_run(name)
-    numbers = [one for one in others if one.isdigit()]
-    return "" if max(len(ways), len(numbers)) > 1 or _COMPUTED.intersection(others) else unit
+    return first + 1, delimiter, columns(next(csv.reader([lines[first][1]], delimiter=delimiter)), chosen)
 
 
 def _check_columns_of_runs(
-    where: str, header: Sequence[str], runs: Mapping[int, tuple[str, str]], rows: Sequence[tuple[str, int, list[str]]]
+    where: str, header: Sequence[Column], runs: Mapping[int, Column], rows: Sequence[tuple[str, int, list[str]]]
 ) -> None:
     """Raise SurveyError for two columns of one run, and for a column among those of ``runs`` that may be another run,
     or is one without a unit or a name: else it would be left out without a word."""
-    first, (unit, _) = next(iter(runs.items()))
-    for at, name in enumerate(header):
-        if _RUN.fullmatch(name) and header.count(name) > 1:
-            raise SurveyError(f"{where}: {name} is given twice; allowed: one column for each run, with its number")
+    first, run = next(iter(runs.items()))
+    named = [one.run for one in runs.values()]
+    for one in runs.values():
+        if named.count(one.run) > 1:
+            raise SurveyError(f"{where}: {one.name} is given twice; allowed: one column for each run, with its number")
+    for at, one in enumerate(header):
         # Right of a name that was given to several cells in one; a total below the rows is no run.
-        nameless = at > first and name.strip("[]()_ ") in ("", *PER_METRE)
         numbers = (re.fullmatch(r"[+-]?[\d.,]*\d", row[at].strip()) for *_, row in rows)
-        nameless = nameless and sum(map(bool, numbers)) > 0.25 * len(rows)
-        bare = _unit_of_run(name) == ""
-        if nameless or bare or f"deviation_{_unit_of_vague(name)}" == unit:
+        nameless = at > first and not one.words and sum(map(bool, numbers)) > 0.25 * len(rows)
+        bare = one.seems_run and not one.unit
+        if nameless or bare or (one.may_be_run and not one.is_run and one.unit == run.unit):
             lack = " and has no name" if nameless else f" and has no unit of {', '.join(PER_METRE)}" if bare else ""
             raise SurveyError(
-                f"{where}: column '{at + 1 if nameless else name}' may be a run{lack}; allowed for a run: a name such "
-                f"as 'Run 1 forward [µm]' or 'Run 1- [µm]'; for a figure of runs: {', '.join(sorted(_COMPUTED))}"
+                f"{where}: column '{at + 1 if nameless else one.name}' may be a run{lack}; allowed for a run: a name "
+                f"such as 'Run 1 forward [µm]' or 'Run 1- [µm]'; for a figure of runs: {', '.join(sorted(COMPUTED))}"
             )
 
 
 def _check_other_x(
-    where: str, header: Sequence[str], x: int, runs: Iterable[int], rows: Sequence[tuple[str, int, list[str]]]
+    where: str, header: Sequence[Column], x: int, runs: Iterable[int], rows: Sequence[tuple[str, int, list[str]]]
 ) -> None:
     """Raise SurveyError for a column that is as long as that of ``x``, has other positions, and is of some of the
     ``runs``: these would be read at ``x``, turned round if they were listed as they were driven."""
-    for at, name in enumerate(header):
-        _, unit = _name_and_unit(_NUMBERED.sub("", name))
+    for at, one in enumerate(header):
         # One x for all runs, as of the machine, stands with the first x, or all runs stand between the two.
-        between = {min(x, at) < run < max(x, at) for run in runs}
-        if not (unit and _OF_X.search(name) and (len(between) > 1 or DIRECTIONS.keys() & re.findall("[a-z]+", name))):
+        of_some = len({min(x, at) < run < max(x, at) for run in runs}) > 1 or one.ways
+        if at == x or not (one.unit and {X.name, *X.synonyms}.intersection(one.words) and of_some):
             continue
-        both = ([number_or_nan(row[one].replace(",", ".")) for one in (x, at)] for *_, row in rows)
+        both = ([number_or_nan(row[place].replace(",", ".")) for place in (x, at)] for *_, row in rows)
         pairs = [pair for pair in both if all(map(math.isfinite, pair))] or [[0.0, 0.0]]
         length, other = (max(column) - min(column) for column in zip(*pairs, strict=True))
         if 0.5 * length < other < 2.0 * length and max(abs(a - b) for a, b in pairs) > 0.5 * length / (len(pairs) - 1):
             raise SurveyError(
-                f"{where}: {name} (column {at + 1}) has other positions than {header[x]}; allowed: one x for all runs; "
-                "write runs at positions of their own one below the other, or choose x by --x-column"
+                f"{where}: {one.name} (column {at + 1}) has other positions than {header[x].name}; allowed: one x for "
+                "all runs; write runs at positions of their own one below the other, or choose x by --x-column"
             )
 
 
 def _a_row_for_each(
-    runs: Mapping[int, tuple[str, str]], header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]
+    runs: Mapping[int, Column], header: Sequence[str], rows: Sequence[tuple[str, int, list[str]]]
 ) -> tuple[list[str], list[tuple[str, int, list[str]]]]:
-    """Header and rows with one column of deviation in place of one for each of ``runs``; an empty cell is no point."""
+    """Names and rows with one column of deviation in place of one for each of ``runs``; an empty cell is no point."""
     shared = [at for at in range(len(header)) if at not in runs]
     found = [
-        (where, line, [*(row[at] for at in shared), f"column {at + 1}", way, row[at]])
+        (where, line, [*(row[at] for at in shared), f"column {at + 1}", *run.ways, row[at]])
         for where, line, row in rows
-        for at, (_, way) in runs.items()
+        for at, run in runs.items()
         if row[at].strip()
     ]
-    unit, way = next(iter(runs.values()))
-    return [*(header[at] for at in shared), RUN_COLUMN, "direction" if way else "", unit], found
+    run = next(iter(runs.values()))
+    directions = ["direction"] if run.ways else []
+    return [*(header[at] for at in shared), RUN_COLUMN, *directions, f"{DEVIATION.name}_{run.unit}"], found
 
 
 def _with_run(header: list[str], rows: Sequence[Row]) -> list[str]:
@@ -519,25 +395,8 @@ def _with_direction(where: str, header: list[str], rows: Sequence[Row]) -> list[
 
 def _way(cell: str, words: Mapping[str, Direction]) -> str | None:
     """The direction that a cell says by one of ``words``, or as the name of a run (``1 forward``, ``Run 2-``)."""
-    run = _RUN.fullmatch(_of_run(f"{cell} m"))
-    return words.get(cell.lower()) or (run[2] if run else None)
-
-
-def _spelled(name: str) -> str:
-    """``position_mm`` for ``Position [mm]``; a name of another form in lower case."""
-    parts = _NAME_AND_UNIT.fullmatch(_plain(name))
-    # Without a sign between them "xm" would be x in m; such a name is left as it is.
-    return f"{parts[1]}_{parts[2]}" if parts and parts.end(1) != parts.start(2) else _plain(name)
-
-
-def _plain(cell: str) -> str:
-    """In lower case, with either micro sign as ``u``, inches as ``in``, and a unit last that is before a direction
-    or a number; what is too long for a name ends with …"""
-    text = cell.strip().lower()
-    text = text if len(text) <= _LONGEST_NAME else f"{text[:_LONGEST_NAME]}…"
-    text = text.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u2212", "-")
-    text = _INCH.sub(lambda found: "uin" if found[1] else "in", text)
-    return _UNIT_WITHIN.sub(r"\1\3 \4 \2", text).strip()
+    run = column_named(f"{cell} m")
+    return words.get(cell.lower()) or (next(iter(run.ways), None) if run.is_run else None)
 
 
 def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[int], delimiter: str) -> None:
@@ -575,21 +434,3 @@ def _use_points(rows: Sequence[tuple[str, int, list[str]]], columns: Sequence[in
                 f"{where}: {cell!r}; allowed: a number with {point!r} as the decimal mark, as in other lines"
             )
         row[column] = whole.replace(other, "") + ("." + fraction if mark else "")
-
-
-def _column(where: str, header: Sequence[str], quantity: Quantity) -> str:
-    """The one name in ``header`` that is of ``quantity``."""
-    found = [at for at, name in enumerate(header) if name in quantity.columns]
-    if len(found) == 1:
-        return header[found[0]]
-    option = f"--{quantity.name}-column"
-    if found:
-        places = " and ".join(f"{header[at]} (column {at + 1})" for at in found)
-        raise SurveyError(f"{where}: {quantity.name} is given twice, as {places}; keep one, or choose it by {option}")
-    hint = f" (column '{quantity.name}' carries no unit)" if quantity.name in header else ""
-    also = ", ".join(f"'{name} [UNIT]'" for name, meant in _SYNONYMS.items() if meant == quantity.name)
-    raise SurveyError(
-        f"{where}: no column for {quantity.name}{hint}; found: {', '.join(header)}; allowed: one of "
-        f"{', '.join(quantity.columns)}, or {also}, between commas, semicolons or tabs; straightcomp map build takes "
-        f"another name by {option}"
-    )

@@ -15,8 +15,8 @@ from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.straightness_statement import Input, budget_rows, map_input, stated, statements
 from straightcomp_ros.fleet.history.strokes_of_bag import rows_of
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
+from straightcomp_ros.straightness.survey_header import WAYS
 from straightcomp_ros.straightness.survey_runs import cubic_spline
-from straightcomp_ros.straightness.survey_table import WAYS
 
 X = np.linspace(0.0, 1.76, 4000)
 POINTS = np.linspace(0.0, 1.76, 60)

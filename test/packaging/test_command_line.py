@@ -18,7 +18,7 @@ from straightcomp_ros.bags import BagError
 from straightcomp_ros.cli.main import GROUP, PURPOSES, installed_verbs, make_parser
 from straightcomp_ros.parameters.declaration import RefusedParameter
 from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 OURS = {entry.name: entry for entry in distribution("straightcomp_ros").entry_points if entry.group == GROUP}
 EXTRAS = {"tuning": {"cma"}, "fleet": {"duckdb", "fsspec", "pyarrow"}, "opcua": {"asyncua"}}

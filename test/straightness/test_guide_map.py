@@ -18,7 +18,7 @@ from straightcomp_ros.straightness.guide_map import (
     runout,
 )
 from straightcomp_ros.straightness.survey import write_survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 
 X = np.linspace(0.0, 1.76, 177)
 

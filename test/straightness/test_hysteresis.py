@@ -31,7 +31,7 @@ from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessM
 from straightcomp_ros.straightness.hysteresis import half_difference
 from straightcomp_ros.straightness.smoothing import MapNoise
 from straightcomp_ros.straightness.survey import Run, Survey, write_survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from trials.noise import FINE, WAYS, Kind, guide, mapped, surveyed
 
 HYSTERESIS = 0.3e-6

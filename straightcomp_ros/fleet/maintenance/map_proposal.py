@@ -24,7 +24,8 @@ from straightcomp_ros.stage.due_maintenance import MaintenanceError
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey
-from straightcomp_ros.straightness.survey_table import MARK, WAYS
+from straightcomp_ros.straightness.survey_header import WAYS
+from straightcomp_ros.straightness.survey_table import MARK
 
 if TYPE_CHECKING:
     import pyarrow

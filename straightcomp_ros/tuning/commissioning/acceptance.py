@@ -30,7 +30,7 @@ from straightcomp_ros.offline.starts import run_stroke, values_of_starts, with_v
 from straightcomp_ros.parameters.node_parameters import Values, by_node, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.tuning.commissioning import LEARNED, LIMITS, STROKE, LeftTravel
 from straightcomp_ros.tuning.commissioning.machine import Outcome, Work
 from straightcomp_ros.tuning.commissioning.open_loop import latency_percentiles

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_table import SurveyError, decimal, number, numbered_lines
+from straightcomp_ros.straightness.survey_header import SurveyError
+from straightcomp_ros.straightness.survey_table import decimal, number, numbered_lines
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, Points, survey_of
 
 _HEAD = ("RowAxis", "ColumnAxis", "OutputAxis1", "OutputAxis2", "SampDistRow", "SampDistCol", "NumCols")

@@ -29,8 +29,8 @@ from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import Array, rms
 from straightcomp_ros.straightness.smoothing import NORMAL_95
 from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.straightness.survey_runs import point_weights
-from straightcomp_ros.straightness.survey_table import SurveyError
 
 _ITERATIONS, _SETTLED = 30, 1e-8
 """Of the refinement: it ends when the shift moves by less than this, in m, a ten-thousandth of what matters."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
-from straightcomp_ros.straightness.survey_table import PER_METRE, WAYS, Direction, SurveyError
+from straightcomp_ros.straightness.survey_header import PER_METRE, WAYS, Direction, SurveyError
 
 UNITS = {"mm": PER_METRE["mm"], "inch": PER_METRE["in"], "m": PER_METRE["m"], "um": PER_METRE["um"]}
 """How many of a unit make a metre, for files whose unit is set in the controller and not in the file."""

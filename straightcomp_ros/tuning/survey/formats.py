@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.tuning.survey import aerotech, laser, point_lists
 from straightcomp_ros.tuning.survey.error_table import Conventions, Points
 

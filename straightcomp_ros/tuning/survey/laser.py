@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 
 from straightcomp_ros.straightness.survey import Survey, orient
-from straightcomp_ros.straightness.survey_table import DIRECTIONS, WAYS, SurveyError, number, numbered_lines
+from straightcomp_ros.straightness.survey_header import DIRECTIONS, WAYS, SurveyError
+from straightcomp_ros.straightness.survey_table import number, numbered_lines
 from straightcomp_ros.tuning.survey.error_table import Conventions, survey_of
 
 _OTHER_KINDS = re.compile(

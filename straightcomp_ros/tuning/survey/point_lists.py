@@ -41,7 +41,8 @@ import re
 from pathlib import Path
 
 from straightcomp_ros.straightness.survey import Survey
-from straightcomp_ros.straightness.survey_table import SurveyError, decimal, number, numbered_lines
+from straightcomp_ros.straightness.survey_header import SurveyError
+from straightcomp_ros.straightness.survey_table import decimal, number, numbered_lines
 from straightcomp_ros.tuning.survey.error_table import Conventions, Points, survey_of
 
 _LINUXCNC = ("nominal", "forward", "reverse")

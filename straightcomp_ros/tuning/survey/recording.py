@@ -21,15 +21,8 @@ from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.contract import DISPLACEMENT, ENCODER, PLATFORM, STAGE
 from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.survey import Run, Survey, check_run
-from straightcomp_ros.straightness.survey_table import (
-    DEVIATION,
-    RUN_COLUMN,
-    TIME_COLUMN,
-    SurveyError,
-    number,
-    numbered_lines,
-    table_of,
-)
+from straightcomp_ros.straightness.survey_header import DEVIATION, TIME_COLUMN, SurveyError
+from straightcomp_ros.straightness.survey_table import RUN_COLUMN, number, numbered_lines, table_of
 
 STAGE_X = Field(ENCODER.topic, f"position[{STAGE}]")
 """The slider's x in the topics of our own graph."""

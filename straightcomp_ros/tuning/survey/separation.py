@@ -29,8 +29,8 @@ from straightcomp_ros.straightness.guide_map import MapParameters
 from straightcomp_ros.straightness.residual import Array, rms
 from straightcomp_ros.straightness.smoothing import measured, point_noise
 from straightcomp_ros.straightness.survey import Run, Survey
+from straightcomp_ros.straightness.survey_header import WAYS, Direction, SurveyError
 from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_grid, repeatability
-from straightcomp_ros.straightness.survey_table import WAYS, Direction, SurveyError
 
 _LOUDEST = 10.0
 """A form of the edge counts as unseen where its noise, RMS over x, would be so many times that of a difference."""

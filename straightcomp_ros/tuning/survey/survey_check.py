@@ -12,8 +12,8 @@ import numpy as np
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import least_squares_residual, rms
 from straightcomp_ros.straightness.survey import Survey
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.straightness.survey_runs import on_common_grid
-from straightcomp_ros.straightness.survey_table import SurveyError
 
 LEAST_POINTS, WIDEST_GAP = 6, 0.5
 """With fewer points a guide is hardly distinguished from its line; m between neighbours."""

@@ -32,7 +32,8 @@ from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, find_survey, load_map
 from straightcomp_ros.straightness.residual import rms
 from straightcomp_ros.straightness.survey import Run, Survey, check_run, read_survey, write_survey
-from straightcomp_ros.straightness.survey_table import MARK, WAYS, SurveyError
+from straightcomp_ros.straightness.survey_header import WAYS, SurveyError
+from straightcomp_ros.straightness.survey_table import MARK
 from straightcomp_ros.tuning.survey.alignment import align
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions, sampled
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, format_of, written

@@ -33,7 +33,7 @@ from straightcomp_ros.cli.results import (
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.stage.description import UncertaintyParameters
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.tuning.sweep.trial import OUTLIER, PERCENTILES, LawSummary, plot_sweep, summarise, sweep
 
 SUMMARY = "run many strokes on uncertain machines, offline"

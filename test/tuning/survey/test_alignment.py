@@ -9,8 +9,8 @@ from surveys import one_run
 
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.straightness.survey_runs import cubic_spline, point_weights
-from straightcomp_ros.straightness.survey_table import SurveyError
 from straightcomp_ros.tuning.survey.alignment import align
 from straightcomp_ros.tuning.survey.survey_check import survey_check
 

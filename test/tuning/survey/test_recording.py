@@ -18,7 +18,7 @@ from straightcomp_ros.contract import DISPLACEMENT, ENCODER
 from straightcomp_ros.messages.cdr import ENCAPSULATION, joint_state
 from straightcomp_ros.straightness.guide_map import MapParameters, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.tuning.survey.recording import (
     Sensor,
     Series,

@@ -7,7 +7,7 @@ import pytest
 from tiers import nightly
 
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
-from straightcomp_ros.straightness.survey_table import SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
 from straightcomp_ros.tuning.survey.separation import separated
 
 X = np.linspace(0.0, 1.0, 51)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from places import page
 
 from straightcomp_ros.straightness.guide_map import MapParameters, find_survey, load_map
-from straightcomp_ros.straightness.survey_table import OTHER_KINDS, SurveyError
+from straightcomp_ros.straightness.survey_header import SurveyError
+from straightcomp_ros.straightness.survey_table import OTHER_KINDS
 from straightcomp_ros.tuning.survey.error_table import UNITS, Conventions
 from straightcomp_ros.tuning.survey.formats import FORMATS, WRITTEN, written
 
