@@ -11,14 +11,13 @@ guide says little about mass and viscous friction; --excitation writes a map who
   straightcomp friction BAG -o plant.yaml
   straightcomp simulate --stage plant.yaml
 
-The next command that it prints has the --stage, --params-file, --law and --set of this one. An estimate has the plant
-alone: with a stage file of your own put its values into that.
+The command that --excitation prints has the --stage, --params-file, --law and --set of this one. An estimate has the
+plant alone: with a stage file of your own put its values into that.
 """
 
 import argparse
 import math
 import shlex
-from collections.abc import Iterable
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -37,7 +36,6 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.cli.results import titled_table
-from straightcomp_ros.model.motion import goals
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping, under
 from straightcomp_ros.parameters.node_parameters import STAGE, changed, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
@@ -87,17 +85,17 @@ def run(options: argparse.Namespace) -> None:
         write_survey(file, waves, (*_EXCITATION_COMMENTS, moves))
         if not options.json:
             # After the user's own: the last one counts.
-            guides = [f"{name}={file}" for name in ("stage.guide.file", "driver.simulated.truth.guide")]
-            own, one_way = to_mapping(stage), len(goals(stage.motion)) == 2
-            for name, value in facts.items():
-                # A stroke without stops stays as it is, backward too.
-                if value != own[name] and not (one_way and name.startswith("motion.")):
-                    guides.append(f"stage.{name}={as_yaml(value)}")
-            command = _simulate(options, options.stage, [*options.set, *guides])
+            settings = [*options.set, f"stage.guide.file={file}", f"driver.simulated.truth.guide={file}"]
+            own = to_mapping(stage)
+            settings += [f"stage.{name}={as_yaml(value)}" for name, value in facts.items() if value != own[name]]
+            given = {"--params-file": options.params_file, "--stage": options.stage, "--law": options.law}
+            words = [word for option, value in given.items() if value for word in (option, value)]
+            words += [word for setting in settings for word in ("--set", setting)]
+            command = shlex.join(["straightcomp", "simulate", *words])
             print_written(file, then=f"{command} --bag BAG, or run it on the machine")
         return
     output = output_file(options, "--output")
-    start, recorded = _start(options)
+    start = _start(options)
     with working("estimating") as advance:
         estimate = estimate_from_bag(Path(options.bag), start, options.known or [_DEFAULT_KNOWN], advance)
     if output is not None:
@@ -107,11 +105,12 @@ def run(options: argparse.Namespace) -> None:
     else:
         _print(estimate)
         if output is not None:
-            print_written(output, then=_after_estimate(options, output, estimate, start if recorded else None))
+            own = "put its values into your stage file, in the place of those there"
+            print_written(output, then=f"{own}; without one: straightcomp simulate --stage {quote(str(output))}")
 
 
-def _start(options: argparse.Namespace) -> tuple[StageParameters, bool]:
-    """The description that the search starts from, and whether it is that of the recorded run."""
+def _start(options: argparse.Namespace) -> StageParameters:
+    """The description that the search starts from."""
     bag = Path(options.bag)
     if not (options.stage or options.params_file):
         driver = recorded_parameters(bag, read_attachments(bag)).get("driver")
@@ -119,42 +118,12 @@ def _start(options: argparse.Namespace) -> tuple[StageParameters, bool]:
             # Without the rest: a board's DBC file need not be on this computer.
             values = {STAGE: under("stage.", driver), "driver": {}}
             try:
-                return node_parameters("driver", changed(values, chosen_changes(options))).stage, True
+                return node_parameters("driver", changed(values, chosen_changes(options))).stage
             except ParameterError as error:
                 raise ParameterError(f"bag {bag}: {error}; --stage FILE describes its stage otherwise") from error
         without = f"bag {bag}: has no parameters of the driver attached: the stage of {DEFAULT_STAGE} is assumed"
         notes.print(f"{without}; --stage FILE names another")
-    return node_parameters("driver", chosen_parameters(options)).stage, False
-
-
-def _simulate(options: argparse.Namespace, stage: object, settings: Iterable[str]) -> str:
-    """The command that simulates the machine of ``options`` with this stage file, if any, and these of --set."""
-    given = {"--params-file": options.params_file, "--stage": stage, "--law": options.law}
-    words = [word for option, value in given.items() if value for word in (option, str(value))]
-    words += [word for setting in settings for word in ("--set", setting)]
-    return shlex.join(["straightcomp", "simulate", *words])
-
-
-_OF_A_RUN = ("motion.", "guide.")
-
-
-def _after_estimate(
-    options: argparse.Namespace, output: Path, estimate: Estimate, recorded: StageParameters | None
-) -> str:
-    """What to do with the estimate in ``output``, which has the plant alone: the user's stage file has the rest, also
-    where its facts came with the bag, as ``recorded``."""
-    estimated = {f"stage.{name}" for name in estimate.parameters}
-    # One would take the place of what was found.
-    settings = [one for one in options.set if one.partition("=")[0] not in estimated]
-    file, where = options.stage, quote(options.stage or "")
-    if recorded is not None:
-        shipped = to_mapping(StageParameters())
-        rest = [name for name in shipped if name not in estimate.parameters and not name.startswith(_OF_A_RUN)]
-        if any(to_mapping(recorded)[name] != shipped[name] for name in rest):
-            file, where = "FILE", f"the stage file of '{recorded.name}'"
-    if not file:
-        return _simulate(options, output, settings)
-    return f"put its values into {where}, in the place of those there; then {_simulate(options, file, settings)}"
+    return node_parameters("driver", chosen_parameters(options)).stage
 
 
 def _figures(estimate: Estimate) -> dict[str, Any]:
