@@ -63,17 +63,6 @@ _DECLARED = {one.name: one.unit for one in declarations(StageParameters)}
 _SHOWN = [name.replace(RATIO, "friction.static") for name in NAMES]
 UNITS = {**{n: _DECLARED[n] for n in _SHOWN[:3]}, **DERIVED, **{n: _DECLARED[n] for n in _SHOWN[3:]}}
 """Units of the shown parameters, in their order."""
-HELP = {
-    "platform.mass": "quick motion of the platform: force must go into acceleration, not only into friction",
-    "actuator.turns": "quick motion of the platform: force must go into acceleration, not only into friction",
-    "actuator.air_gap": "positions far to both sides of the centre",
-    "friction.coulomb": "steady sliding both ways, far faster than the Stribeck velocity",
-    "friction.static": "slow sliding and many starts from rest",
-    "friction.stribeck_velocity": "sliding at many speeds, slow ones above all",
-    "friction.bristle_stiffness": "many reversals of the motion",
-    "friction.bristle_damping": "quick small movements around rest",
-    "friction.viscous": "fast sliding",
-}
 
 WAVES = ((0.300, 30e-6), (0.060, 15e-6), (0.030, 8e-6), (0.015, 4e-6))
 """Wavelength and amplitude of the excitation in m: at 0.3 m/s 1, 5, 10 and 20 Hz, together up to 57 µm and 1.3 mm/s."""
@@ -121,11 +110,6 @@ class Estimate:
     path: CurrentPath  # the coil current between the samples
     fit: Fit  # figures of the search
     centre: Centre | None = None  # where the magnets balance, in the encoder's y; None where the record has none
-
-    @property
-    def advice(self) -> dict[str, str]:
-        """For each poorly determined parameter, the excitation that would help."""
-        return {name: HELP[name] for name, found in self.parameters.items() if found.poor and name in HELP}
 
     def to_display(self) -> dict[str, Any]:
         """Figures of the current path, the centre, and what the record leaves open, with units in the names."""

@@ -147,7 +147,6 @@ def _figures(estimate: Estimate) -> dict[str, Any]:
             }
             for name, found in estimate.parameters.items()
         },
-        "advice": estimate.advice,
     }
 
 
@@ -170,10 +169,8 @@ def _print(estimate: Estimate) -> None:
     )
     for sentence in ([str(estimate.centre)] if estimate.centre else []) + estimate.not_identifiable:
         notes.print(sentence)
-    for name, words in estimate.advice.items():
-        notes.print(f"{name} would need: {words}")
-    if estimate.advice:
-        notes.print("straightcomp friction --excitation FILE writes a map that does this")
+    if any(found.poor for found in estimate.parameters.values()):
+        notes.print("straightcomp friction --excitation FILE writes a map that identifies more")
 
 
 def _row(found: Estimated) -> tuple[str, ...]:
