@@ -27,7 +27,7 @@ from straightcomp_ros.doctor.stage_findings import stiction
 from straightcomp_ros.offline.scenario import Scenario
 from straightcomp_ros.offline.starts import STARTS, Spread, spread
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters
-from straightcomp_ros.tuning.design.error_budget import EXACT, NOTED, OWN, RIGID, BudgetEntry, error_budget
+from straightcomp_ros.tuning.design.error_budget import BudgetEntry, error_budget
 from straightcomp_ros.tuning.design.feasible_gains import FeasibleGains, refusal
 from straightcomp_ros.tuning.design.gain_search import UNEVEN, Judge, Judged, RunFigures, prepared_stroke, search
 from straightcomp_ros.tuning.design.gains import closed_form, shapes_for, starts, with_gains
@@ -67,16 +67,11 @@ class Design:
     start_figures: DesignFigures
     quiet: float  # the trade that was asked for
     verification: LawSummary  # sweep over uncertain machines
-    others: Sequence[LawSummary]  # the same of each other search, with more machines that were not in order
+    rounds: int  # searches, more than one if the first result failed on an uncertain machine
     budget: Sequence[BudgetEntry]  # what limits the error, the stage as described first
     limits: Mapping[str, FailingLimits]  # until where the linear loop is stable, by the law's state
     shape: str  # how the platform's modes are answered, in words
     stiction: Finding  # what the friction's bristles leave of it, as `straightcomp stage check` finds
-
-    @property
-    def rounds(self) -> int:
-        """Searches, more than one if the first result failed on an uncertain machine."""
-        return 1 + len(self.others)
 
     @property
     def holds(self) -> bool:
@@ -91,32 +86,8 @@ class Design:
     @property
     def warnings(self) -> list[str]:
         """What no gains can do on this stage, and what helps, a sentence each."""
-        found = []
-        if self.stiction.state != "ok":
-            found.append(f"stiction: {self.stiction.detail}. {self.stiction.remedy}")
-        errors = {one.cause: one.pp for one in self.budget}
-        own, rigid, exact = (errors.get(cause, 0.0) for cause in (OWN, RIGID, EXACT))
-        if own > NOTED * exact > 0.0:
-            found.append(
-                f"reference: {own * 1e6:.2g} µm p-p, where an exact reference leaves {exact * 1e6:.2g} µm: ramps with "
-                "less acceleration help, or a shorter reference_lead (node controller)."
-            )
-        if own > NOTED * rigid > 0.0:
-            found.append(
-                f"modes: {own * 1e6:.2g} µm p-p, where a rigid platform leaves {rigid * 1e6:.2g} µm: no gains that "
-                "hold the modes at all ends of their uncertainty are as fast. Modes that are higher, damped more, or "
-                "known better ('stage.platform.modes.*.frequency_error') help."
-            )
-        kept, *medians = (one.percentiles("pp")["p50"] for one in (self.verification, *self.others))
-        if medians and kept > NOTED * min(medians):
-            faster = self.others[medians.index(min(medians))]
-            counts = ", ".join(f"{word.replace('_', ' ')}: {count}" for word, count in faster.verdicts.items())
-            found.append(
-                f"uncertainty: {kept * 1e6:.2g} µm p-p at the median of the uncertain machines. Faster gains leave "
-                f"{min(medians) * 1e6:.2g} µm, but of {faster.trials} machines not all are in order ({counts}). Facts "
-                "that are known better ('stage.uncertainty.*') help."
-            )
-        return found
+        one = self.stiction
+        return [] if one.state == "ok" else [f"stiction: {one.detail}. {one.remedy}"]
 
     def limits_to_display(self) -> dict[str, Any]:
         """What limits the design: budget, with errors in µm, and limits."""
@@ -216,8 +187,7 @@ def design_gains(
         held, names, more = held.tightened(_TIGHTER), [way(best)], [dict(best)]
     if not verified:
         raise refusal(scenario, law, seed)
-    kept = min(verified, key=lambda one: len(one[0].not_in_order))
-    verification, best = kept
+    verification, best = min(verified, key=lambda one: len(one[0].not_in_order))
     shape = way(best)
     return Design(
         law=law,
@@ -228,7 +198,7 @@ def design_gains(
         start_figures=figures(begins[shape]),
         quiet=quiet,
         verification=verification,
-        others=[one[0] for one in verified if one is not kept],
+        rounds=len(verified),
         budget=error_budget(scenario, law, best, seed=seed, progress=lambda fraction: progress("budget", fraction)),
         limits=failing_limits(stage, with_gains(base, law, best)),
         shape=shape,

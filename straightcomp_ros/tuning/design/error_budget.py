@@ -134,7 +134,7 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
     at_once, of_at_once = faster("drive.delay", 0.0)
     wide, of_wide = faster("drive.bandwidth", _AMPLIFIER)
     return {
-        OWN: own,
+        "as described": own,
         "ideal encoder of y": own._replace(plant=fine, control=free),
         "ideal D/A converter": own._replace(plant=dataclasses.replace(plant, drive=converter)),
         "ideal encoder of y and D/A converter": own._replace(
@@ -150,16 +150,12 @@ def _causes(scenario: Scenario, law: str, gains: Mapping[str, float], seed: int)
         f"amplifier {_AMPLIFIER:g} times as fast, gains faster to match": own._replace(
             plant=scaled_facts(plant, ("drive.bandwidth",), _AMPLIFIER), stage=wide, control=of_wide
         ),
-        EXACT: own._replace(stroke=prepared_stroke(scenario, ideal=True)),
+        "exact reference at each sample": own._replace(stroke=prepared_stroke(scenario, ideal=True)),
         "with the noise of the survey once more in it": own._replace(stroke=prepared_stroke(scenario, survey=again)),
         "with the jitter of the uncertainty": own._replace(stroke=prepared_stroke(scenario, stamps=stamps)),
         **_rigid(own, gains, law),
         **_disturbed(own),
     }
-
-
-OWN, RIGID = "as described", "rigid platform, no filters, gains in closed form"
-EXACT = "exact reference at each sample"
 
 
 def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:
@@ -171,7 +167,8 @@ def _rigid(own: _Run, gains: Mapping[str, float], law: str) -> dict[str, _Run]:
     control = dataclasses.replace(
         with_gains(own.control, law, {**gains, **rule(law, stage)}), filters=FilterParameters()
     )
-    return {RIGID: own._replace(plant=plant, stage=stage, control=control)}
+    rigid = own._replace(plant=plant, stage=stage, control=control)
+    return {"rigid platform, no filters, gains in closed form": rigid}
 
 
 def _disturbed(own: _Run) -> dict[str, _Run]:
