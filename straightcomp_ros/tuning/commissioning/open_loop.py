@@ -46,8 +46,6 @@ _SHAKE, _SHAKE_STEPS = 0.005, 4.0
 _SHAKE_TIME = 0.25
 _ENOUGH = 40
 """Samples of it that identify the readback."""
-_ONE_COIL = 0.3
-"""Share of a single coil's pull from which a coil is missing."""
 _RAMP_TIME = 2.0
 _RAMP_SHARE = 0.5
 """Highest current of a ramp, relative to the highest current."""
@@ -272,7 +270,7 @@ def signs_and_scales(work: Work) -> Outcome:
     shaken = work.machine.play(
         ExcitationParameters(signal="shake", current=current, duration=_SHAKE_TIME, travel=travel)
     )
-    if shaken.left_at is not None and (pulled := _unbalanced(shaken, shaken.left_at, travel, stage)):
+    if pulled := _pulled_away(shaken, stage, _ENOUGH):
         return Outcome(False, pulled)
     readback = current_readback(shaken, stage.drive, stage.period)
     figures: dict[str, Any] = {
@@ -293,7 +291,7 @@ def signs_and_scales(work: Work) -> Outcome:
             ExcitationParameters(signal=signal, current=highest, duration=_RAMP_TIME, travel=travel)
         )
         # The second may be pulled on from where the first has left the platform.
-        if not currents and (pulled := _pulled_away(pushed)):
+        if not currents and (pulled := _pulled_away(pushed, stage, 1)):
             return Outcome(False, pulled, figures)
         # The answer to the sample itself may be zero already.
         currents.append(math.nan if pushed.left_at is None else float(pushed.command[max(0, pushed.left_at - 1)]))
@@ -321,42 +319,20 @@ def signs_and_scales(work: Work) -> Outcome:
     return Outcome(True, sentence, figures, stage=found)
 
 
-def _pulled_away(series: Series) -> str:
-    """Why the series says nothing of currents: the platform left before the first one; empty where it did not."""
-    if series.left_at is None or np.any(series.command[: series.left_at]):
+def _pulled_away(series: Series, stage: StageParameters, needed: int) -> str:
+    """Why the series says too little of currents: the platform left within fewer samples of current than ``needed``;
+    empty where it did not. At rest only friction holds it against the magnets' negative stiffness."""
+    if series.left_at is None:
+        return ""
+    acting = np.flatnonzero(series.command[: series.left_at])
+    samples = series.left_at - int(acting[0]) if acting.size else 0
+    if samples >= needed:
         return ""
     return (
-        f"the magnets alone pulled the platform away from y = {series.y[0] * 1e6:.3g} µm, before any current acted: "
-        "neither friction nor a flexure holds it there; move it to the middle, and hold it there until the amplifier "
-        "is on"
-    )
-
-
-def _unbalanced(shaken: Series, left_at: int, travel: float, stage: StageParameters) -> str:
-    """What pulled the platform away without a current that could; empty where the samples are enough all the same.
-
-    At rest only friction holds the platform against the magnets' negative stiffness: it may slowly creep away.
-    """
-    actuator, ranges, time = stage.actuator, stage.uncertainty, max(1, left_at) / stage.rate
-    # One coil alone, with the bias current, at the heaviest and weakest machine that is described.
-    weakest = (1.0 - ranges.force) / ((1.0 + ranges.air_gap) ** 2 * (1.0 + ranges.mass))
-    alone = 0.25 * weakest * actuator.current_stiffness * actuator.bias_current / stage.platform.mass
-    slow = 2.0 * travel / time**2 < _ONE_COIL * alone
-    if slow and ((pulled := _pulled_away(shaken)) or left_at >= _ENOUGH):
-        return pulled
-    place = float(shaken.y[0])
-    pull = actuator.position_stiffness * abs(place)
-    or_else = f"; or move the platform to the middle: at y = {place * 1e6:.3g} µm they pull with {pull:.2g} N"
-    or_else = or_else if pull > stage.friction.coulomb / stage.uncertainty.friction else ""
-    if slow:
-        return (
-            f"the platform left {travel * 1e6:g} µm within {left_at} samples, in which the current's path does not "
-            f"show; needed: {_ENOUGH}; raise 'stage.rate', or hold the platform{or_else}"
-        )
-    return (
-        f"with the amplifier on and hardly any current the platform left {travel * 1e6:g} µm within {time * 1e3:.3g} "
-        "ms: the magnets do not balance; look for a coil without current, and for a bias current that is not "
-        f"{actuator.bias_current:g} A in both{or_else}"
+        f"the platform left within {samples} samples of hardly any current (needed: {needed}): the magnets do not "
+        f"balance; look for a coil without current, and for a bias current that is not {stage.actuator.bias_current:g} "
+        f"A in both; or move the platform from y = {series.y[0] * 1e6:.3g} µm to the middle, and hold it there until "
+        "the amplifier is on; or raise 'stage.rate'"
     )
 
 
