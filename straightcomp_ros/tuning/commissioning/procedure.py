@@ -35,9 +35,15 @@ def _after(step: str) -> list[str]:
     return list(STEPS)[list(STEPS).index(step) + 1 :]
 
 
-def _by_name(digests: Mapping[str, str]) -> dict[str, str]:
-    """Of files without their folders."""
-    return {Path(name).name: digest for name, digest in digests.items()}
+def _identity(values: Values) -> str:
+    """Of a description: its values, but for the names of its files, which may be moved, and what these hold."""
+    digests = file_digests(values)
+    described = {
+        node: {name: digests.get(value, value) if isinstance(value, str) else value for name, value in one.items()}
+        for node, one in plain(values).items()
+    }
+    # Files that are named by default are not among the values.
+    return hashlib.sha256(json.dumps([described, sorted(digests.values())], sort_keys=True).encode()).hexdigest()
 
 
 class Procedure:
@@ -54,15 +60,7 @@ class Procedure:
 
     def __init__(self, machine: Machine, values: Values, folder: Path, **choices: Any) -> None:
         self._work = Work(machine, values, node_parameters("controller", values).stage, folder, **choices)
-        self._record, self._files = folder / RECORD, file_digests(values)
-        # By the contents of its files: a folder may be moved.
-        described = {
-            node: {
-                name: self._files.get(value, value) if isinstance(value, str) else value for name, value in one.items()
-            }
-            for node, one in plain(values).items()
-        }
-        self._identity = hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
+        self._record, self._identity = folder / RECORD, _identity(values)
         self.outcomes = self._read()
 
     def run(self, step: str, progress: Callable[[float], None] = lambda fraction: None) -> Outcome:
@@ -77,7 +75,7 @@ class Procedure:
         later = _after(step)
         if (first := self.remaining()[:1]) and first[0] not in (step, *later):
             raise CommissionRefused(f"step '{step}' rests on '{first[0]}', which has not passed; do that one first")
-        self._refuse_changed(self._files, file_digests(self._work.values))
+        self._refuse_another(_identity(self._work.values))
         former = self.outcomes.get(step)
         # Before the step begins, since an interrupt leaves neither its old files nor its new ones.
         self._forget(step, "certificate")
@@ -131,17 +129,15 @@ class Procedure:
     def _refused(self, why: str) -> CommissionRefused:
         return CommissionRefused(f"record {self._record}: {why}; name another folder, or remove the record")
 
-    def _refuse_changed(self, former: Mapping[str, str], now: Mapping[str, str]) -> None:
-        """Raise CommissionRefused if a file of the description has another content than when the record was begun."""
-        differ = {name for name, _ in _by_name(former).items() ^ _by_name(now).items()}
-        if differ:
-            changed = sorted(name for name in now if Path(name).name in differ) or sorted(differ)
-            raise self._refused(f"{', '.join(changed)} was changed since: the description is another one")
+    def _refuse_another(self, identity: str) -> None:
+        """Raise CommissionRefused if the description is not that of the record any more."""
+        if identity != self._identity:
+            files = ", ".join(file_digests(self._work.values))
+            raise self._refused(f"is of another description, or one of its files was changed since ({files})")
 
     def _write(self) -> None:
         record: dict[str, Any] = {
             "description": self._identity,
-            "files": _by_name(self._files),
             "simulated": self._work.machine.simulated,
             "steps": {name: asdict(self.outcomes[name]) for name in STEPS if name in self.outcomes},
         }
@@ -153,14 +149,10 @@ class Procedure:
         try:
             record = json.loads(self._record.read_text(encoding="utf-8"))
             outcomes = {name: Outcome(**one) for name, one in record["steps"].items()}
-            identity, simulated, files = record["description"], record.get("simulated"), dict(record.get("files", ()))
+            identity, simulated = record["description"], record.get("simulated")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise self._refused(f"cannot be read ({error})") from error
-        if not files:
-            raise self._refused("is of an earlier version, which did not note the content of the survey")
-        self._refuse_changed(files, self._files)
-        if identity != self._identity:
-            raise self._refused("is of another description, or of other parameters")
+        self._refuse_another(identity)
         if simulated != self._work.machine.simulated:
             raise self._refused(f"is of {'a simulated' if simulated else 'a real'} machine")
         return outcomes

@@ -311,18 +311,13 @@ def test_what_a_stroke_shows_of_the_machine_is_known_to_another_design(done, tmp
     assert run(again, again.remaining()).remaining() == []
 
 
-def test_a_record_of_another_description_or_version_or_one_that_is_damaged_is_refused(done, tmp_path):
+def test_a_record_of_another_description_or_one_that_is_damaged_is_refused(done, tmp_path):
     begun(tmp_path).run("connection")
     with pytest.raises(CommissionRefused, match="is of another description"):
         begun(tmp_path, platform__mass=2.0)
-    record = json.loads((tmp_path / RECORD).read_text())
-    # An earlier version did not note the survey.
-    del record["files"]
-    damaged = '{"steps": {"connection": {"colour": 1}}, "description": ""}'
-    refusals = {json.dumps(record): "is of an earlier version", **dict.fromkeys(("", "[]", damaged), "cannot be read")}
-    for text, words in refusals.items():
+    for text in ("", "[]", '{"steps": {"connection": {"colour": 1}}, "description": ""}'):
         (tmp_path / RECORD).write_text(text)
-        with pytest.raises(CommissionRefused, match=words):
+        with pytest.raises(CommissionRefused, match="cannot be read"):
             begun(tmp_path)
 
 
@@ -345,7 +340,7 @@ def test_a_record_is_of_what_the_files_of_the_description_held_when_it_was_begun
     record = (folder / RECORD).read_bytes()
     file.write_text(file.read_text().replace("0.1", "0.3"))
     code, _, said = commission(*asked)
-    assert code == 2 and f"{file} was changed since" in said and "name another folder" in said
+    assert code == 2 and str(file) in said and "was changed since" in said and "name another folder" in said
     assert (folder / RECORD).read_bytes() == record
     # Also for a step alone; and the record serves again when the file holds what it held.
     assert commission(*asked, "--only", "certificate").code == 2
@@ -362,5 +357,5 @@ def test_a_survey_that_is_changed_between_two_steps_ends_the_commission(done, tm
     begun_with = begun(tmp_path, guide__file=other_guide(file))
     begun_with.run("connection")
     file.write_text(file.read_text() + "# measured again\n")
-    with pytest.raises(CommissionRefused, match=re.escape(f"{file} was changed since")):
+    with pytest.raises(CommissionRefused, match=f"was changed since .*{re.escape(str(file))}"):
         begun_with.run("signs_and_scales")
