@@ -17,30 +17,26 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from straightcomp_ros.analysis.pictures import label
-from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, PALE_BLUE, PALE_VERMILION, VERMILION
+from straightcomp_ros.analysis.style import BLACK, BLUE, PALE_BLUE, PALE_VERMILION, VERMILION
 from straightcomp_ros.control.laws import make_law
 from straightcomp_ros.control.margins import bisected
-from straightcomp_ros.model.plant import PlantParameters, advance, plant_state
+from straightcomp_ros.model.plant import plant_state
 from straightcomp_ros.offline.scenario import run_cycle
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, legend_below, sheet
 from straightcomp_ros.tuning.paper.gain_error import FAR
 from straightcomp_ros.tuning.paper.machine import Machine
 
-PUBLISHED, FULL_CURRENT = "law (9), unclamped", "full current"
+PUBLISHED = "law (9), unclamped"
 POINTS = 51
 """Of the grid, each way."""
-_SHOWN_MS = 80.0
-SHOWN = {"linear": GREY, "smc": BLUE, "smc_observer": BLACK}
-"""Laws of the figure, and their colours."""
-_COLOURS = {**SHOWN, PUBLISHED: VERMILION}
+SHOWN = ("linear", "smc", "smc_observer")
+"""Laws of the figure."""
 RETURNED = 0.01
 """|y/y0| within which the platform must stay at the end."""
 _DURATION = 0.5
 """s; the slowest law needs 0.17 from 0.6 y0."""
 _HELD = 0.01
 """s at the end for which the platform must have stayed."""
-_FULL_CURRENT_FOR = 0.1
-"""s; from one stop to the other it takes 0.03."""
 _MOVED_STOP = 0.95
 """Part of the air gap to which the stop is moved in the simulation, so that a touch between two samples is not lost."""
 
@@ -61,33 +57,6 @@ def possible(machine: Machine, y: float, velocity: float) -> bool:
     return within and velocity < fastest_outward(machine, y) and -velocity < fastest_outward(machine, -y)
 
 
-def least_peak(machine: Machine, y: float, velocity: float) -> float:
-    """Largest way in m toward either stop under full current away from it, through amplifier and delay.
-
-    The first command acts late by the delay, and the current rises from zero. No law of this machine can do better: at
-    any time no current leaves the platform further from a stop than full current away from it. The
-    mechanical stop is out of the way, as in :func:`response`.
-    """
-    period_ns, plant = machine.stage.period_ns, _beyond_its_stop(machine)
-    delay_ns, constants, peaks = round(machine.stage.drive.delay * period_ns), plant.constants(), []
-    for side in (1.0, -1.0):
-        state = plant_state(y=side * y, velocity=side * velocity, bias=machine.bias)
-        peak, asked = side * y, 0.0
-        for _ in range(machine.samples(_FULL_CURRENT_FOR)):
-            # Until the platform is at the other stop or beyond this one.
-            if not -machine.stop < state[0] < plant.platform.stop:
-                break
-            advance(constants, state, machine.bias, asked, delay_ns, -machine.bias, period_ns - delay_ns)
-            peak, asked = max(peak, float(state[0])), -machine.bias
-        peaks.append(peak)
-    return max(peaks)
-
-
-def _beyond_its_stop(machine: Machine) -> PlantParameters:
-    platform = replace(machine.plant.platform, stop=max(machine.stop, _MOVED_STOP * machine.gap))
-    return replace(machine.plant, platform=platform)
-
-
 def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.float64]:
     """True y (n,) in m at the samples after a start at ``y`` in m with ``velocity`` in m/s, the stop out of the way:
     the platform recovers if it does not come to where the stop is.
@@ -96,10 +65,11 @@ def response(machine: Machine, y: float, velocity: float = 0.0) -> NDArray[np.fl
     readings that follow. The bias current is on, the control current zero. Shorter if the law's current is not finite.
     """
     count, period_ns = machine.samples(_DURATION), machine.stage.period_ns
+    platform = replace(machine.plant.platform, stop=max(machine.stop, _MOVED_STOP * machine.gap))
     delays = np.full(count, round(machine.stage.drive.delay * period_ns))
     given = np.arange(count) * period_ns, delays, np.zeros((count, 3))
     law, initial = make_law(machine.control, machine.stage), plant_state(y=y, velocity=velocity, bias=machine.bias)
-    return run_cycle(law, _beyond_its_stop(machine), *given, initial=initial).true_y
+    return run_cycle(law, replace(machine.plant, platform=platform), *given, initial=initial).true_y
 
 
 def settling_time(machine: Machine, true_y: NDArray[np.float64]) -> float:
@@ -129,8 +99,7 @@ class Regions(NamedTuple):
     positions: NDArray[np.float64]  # of the starts, (p,) in m, symmetric about zero and odd in number
     velocities: NDArray[np.float64]  # the same, (v,) in m/s
     possible: NDArray[np.bool_]  # whether any current within ±I0 could, (v, p)
-    # Largest |y| in m on the way back, (v, p), infinite where it does not come back: by law, PUBLISHED first, and at
-    # last what FULL_CURRENT, through amplifier and delay, makes of it.
+    # Largest |y| in m on the way back, (v, p), infinite where it does not come back: by law, PUBLISHED first.
     peaks: Mapping[str, NDArray[np.float64]]
 
     def back(self, law: str) -> NDArray[np.bool_]:
@@ -167,52 +136,37 @@ def regions(machine: Machine, points: int = POINTS) -> Regions:
         return over_grid(lambda y, v: peak(one, y, v) if free or possible(one, y, v) else np.inf)
 
     found = {law: peaks(law, one) for law, one in machines_of(machine).items()}
-    found[FULL_CURRENT] = over_grid(lambda y, v: least_peak(limited, y, v))
     return Regions(limited, positions, velocities, over_grid(lambda y, v: possible(limited, y, v)) > 0.0, found)
 
 
 def recovery(machine: Machine) -> PaperFigure:
-    """Beyond Fig. 4: one phase plane for each law, with the limits; then the release from 0.6 y0 under all of them."""
+    """Beyond Fig. 4: one phase plane for each law, with the physical limit."""
     data, machines = regions(machine), machines_of(machine)
-    releases = {law: response(one, FAR * machine.gap) for law, one in machines.items()}
-
     title = "Beyond Fig. 4: where each law brings the platform back from, |$i_c$| ≤ $I_0$"
-    figure, (*planes, over_time) = sheet(title, "abc;dee", size=(12.0, 8.0))
+    figure, planes = sheet(title, "ab;cd", size=(9.0, 8.0))
     for axes, law in zip(planes, machines, strict=True):
         _plane(axes, data, law)
-    stop = data.machine.stop / data.machine.gap
-    over_time.axhline(stop, color=BLACK, linewidth=0.8, linestyle=":", label=f"stop, {stop:g} $y_0$")
-    for law, y in releases.items():
-        _over_time(over_time, machines[law], law, y)
-    over_time.set_xlim(-1.0, _SHOWN_MS)
-    over_time.set_ylim(-0.1, 1.0)
-    label(over_time, "Released at rest at 0.6 $y_0$", "time / ms", "position y/$y_0$ / 1")
-    over_time.legend(loc="upper right", fontsize=SMALL)
     handles = [
         Patch(color=PALE_BLUE, label="comes back"),
         Patch(color=PALE_VERMILION, label="lost, though some current within ±$I_0$ would bring it back"),
         Line2D([], [], color=BLACK, label="physical limit: full current at once"),
-        Line2D([], [], color=BLACK, linestyle="--", label="the same through amplifier and delay"),
         Line2D([], [], color=VERMILION, marker="o", linestyle="", label="Fig. 4: at rest at 0.6 $y_0$"),
     ]
-    legend_below(figure, handles=handles, fontsize=SMALL + 1, ncols=3)
+    legend_below(figure, handles=handles, fontsize=SMALL + 1, ncols=2)
 
     claims = []
     for law, one in machines.items():
         name = f"{law}, recovers" if law == PUBLISHED else f"{law}, |i_c| ≤ I0, recovers"
-        settled = settling_time(one, releases[law]) * 1e3
+        settled = settling_time(one, response(one, FAR * one.gap)) * 1e3
         diverges = "it diverges (Fig. 4)"
         note = diverges if law == PUBLISHED else f"the paper: {diverges}; here within 1 % of y0 after {settled:.0f} ms"
         farthest = bisected(lambda y, one=one: recovers(one, y), 0.0, one.stop, 8)  # type: ignore[misc]
-        reach = f"at rest it recovers up to {farthest / one.gap:.2f} y0; the stop is at {stop:g} y0"
+        reach = f"at rest it recovers up to {farthest / one.gap:.2f} y0; the stop is at {one.stop / one.gap:g} y0"
         paper, back = 0.0 if law == PUBLISHED else None, float(recovers(one, FAR * one.gap))
         claims += [
             Claim(f"beyond Fig. 4: {name} from 0.6 y0 (1 yes, 0 no)", back, "", note, paper),
             Claim(f"beyond Fig. 4: region of recovery, {law}, part of the physical limit", data.share(law), "", reach),
         ]
-    name = "beyond Fig. 4: region that the amplifier and the delay leave, part of the physical limit"
-    late = "full current, but through the amplifier's lag and half a sample late: no law here can reach further"
-    claims.append(Claim(name, data.share(FULL_CURRENT), "", late))
     return PaperFigure(claims, figure)
 
 
@@ -228,21 +182,9 @@ def _plane(axes: Axes, data: Regions, law: str) -> None:
     axes.contour(a, speed, beyond, [stop], colors=BLUE, linewidths=0.8)
     for border in (limit, -limit[::-1]):
         axes.plot(fine / gap, border, color=BLACK, linewidth=1.2)
-    axes.contour(a, speed, data.peaks[FULL_CURRENT], [stop], colors=BLACK, linewidths=1.0, linestyles="--")
     axes.plot(FAR, 0.0, "o", color=VERMILION, markersize=6)
     if law == PUBLISHED:
         axes.text(-0.76, -420.0, "beyond the limit it\nasks for more than $I_0$", fontsize=SMALL)
     label(axes, f"{law}: {data.share(law):.0%} of the limit", "position y(0)/$y_0$ / 1", "velocity ẏ(0) / mm/s")
     axes.set_xlim(-stop / gap, stop / gap)
     axes.set_ylim(1.02 * speed[0], 1.02 * speed[-1])
-
-
-def _over_time(axes: Axes, machine: Machine, law: str, y: NDArray[np.float64]) -> None:
-    time_ms = np.arange(y.size) / machine.stage.rate * 1e3
-    # The stop is thought away: what is beyond it did not happen.
-    at_stop = np.flatnonzero(y >= machine.stop)[:1]
-    shown = slice(0, int(at_stop[0]) + 1 if at_stop.size else None)
-    width = 2.5 if law == "linear" else 1.2  # smc goes the same way
-    a = np.minimum(y[shown], machine.stop) / machine.gap
-    axes.plot(time_ms[shown], a, color=_COLOURS[law], label=law, linewidth=width)
-    axes.plot(time_ms[at_stop], np.full(at_stop.size, machine.stop / machine.gap), "x", color=_COLOURS[law])
