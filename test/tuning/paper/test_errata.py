@@ -26,7 +26,6 @@ from straightcomp_ros.tuning.paper.machine import AMPLITUDE, OMEGA, evaluated, f
 from straightcomp_ros.tuning.paper.surface import (
     following_error_gain,
     free_motion,
-    gain_implied,
     lag,
     rate_implied,
     reaching_time,
@@ -111,7 +110,6 @@ def test_without_a_rate_the_switching_alone_reaches_the_surface_and_no_rate_does
 def test_the_rate_implied_by_a_reaching_time_gives_that_time(phi, rho, sigma_0):
     time = reaching_time(phi, rho, sigma_0)
     assert rate_implied(time, rho, sigma_0) == pytest.approx(phi, rel=1e-6)
-    assert gain_implied(time, phi, sigma_0) == pytest.approx(rho, rel=1e-6)
 
 
 def test_free_motion_solves_equation_12():
