@@ -5,7 +5,6 @@ from scipy.optimize import brentq
 
 from straightcomp_ros.analysis.pictures import label
 from straightcomp_ros.analysis.style import BLACK, BLUE, GREY, VERMILION
-from straightcomp_ros.control.margins import bisected
 from straightcomp_ros.model.actuator import UNIT_GAIN_ERROR_LIMIT, stiffness_errors
 from straightcomp_ros.tuning.paper.figure import SMALL, Claim, PaperFigure, legend_below, sheet
 from straightcomp_ros.tuning.paper.machine import Machine, Response, release
@@ -38,11 +37,7 @@ def gain_error(machine: Machine) -> PaperFigure:
     levels = [-0.05, 0.0, 0.1, 0.25, 0.5, 1.0, 2.0, 3.0]
     widths = [1.8 if level == 1.0 else 0.8 for level in levels]
     contours = axes.contour(positions, _CURRENTS, m_i, levels, colors=BLACK, linewidths=widths)
-    # Where each contour crosses i_c/I0 = 0.5 right of the centre and −0.5 left of it; m_i is the same at both.
-    right, row = positions > 0.0, m_i[np.argmin(np.abs(_CURRENTS - 0.5))]
-    crossings = np.interp([level for level in levels if level > 0.0], row[right], positions[right]).tolist()
-    places = [place for a in crossings if a < 0.58 for place in ((a, 0.5), (-a, -0.5))]
-    axes.clabel(contours, fontsize=SMALL, fmt="%g", manual=places)
+    axes.clabel(contours, fontsize=SMALL, fmt="%g")
     axes.contourf(positions, _CURRENTS, np.abs(m_i), [1.0, np.inf], colors=[GREY], alpha=0.5)
     for sign in (-1.0, 1.0):
         exact = f"±{limit:.4f}: |$m_i$| ≤ 1 for all currents" if sign > 0 else None
@@ -74,8 +69,6 @@ def far_release(machine: Machine) -> PaperFigure:
     """
     free, gap, bias = machine.idealised().with_law("smc"), machine.gap, machine.bias
     unlimited, limited = (released(one, FAR) for one in (free, free.with_limit(bias)))
-    # From where the platform is back at the centre at the end; to 0.4 % of y0.
-    returns_from = bisected(lambda a: bool(abs(released(free, a).y[-1]) < _RETURNED * gap), 0.1, FAR, 7)
 
     figure, axes = sheet("Fig. 4: release from 0.6 $y_0$", "ab;cd", size=(9.0, 6.5))
     curves = (
@@ -88,8 +81,6 @@ def far_release(machine: Machine) -> PaperFigure:
             shown = time <= shown_ms
             position.plot(time[shown], response.y[shown] / gap, color=colour, linestyle=style, label=name)
             current.plot(time[shown], response.coil_current[shown] / bias, color=colour, linestyle=style, label=name)
-        text = f"{returns_from:.2f}: unclamped law returns from below"
-        position.axhline(returns_from, color=GREY, linewidth=1.2, linestyle=":", label=text)
         position.set_ylim(-0.15, 0.9)
         # Against the stop the integral only grows: the first part of it is enough.
         current.set_ylim(-12.0, 1.5)
@@ -103,10 +94,8 @@ def far_release(machine: Machine) -> PaperFigure:
     asks = f"it asks {abs(unlimited.command[0]) / bias:.1f} I0 at the release; {hit}"
     diverges = (float(abs(unlimited.y[-1]) > FAR * gap), float(abs(limited.y[-1]) >= _RETURNED * gap))
     unlike = "the divergence belongs to the unclamped law, not to the position"
-    below = f"below the {gain_error_limit():.3f} of |m_i| ≤ 1, which holds for |i_c| ≤ I0 only: the law asks more"
     claims = (
         Claim("Fig. 4: from 0.6 y0 the unclamped law diverges (1 yes, 0 no)", diverges[0], "", asks, paper=1.0),
         Claim("Fig. 4: the same with |i_c| ≤ I0 diverges (1 yes, 0 no)", diverges[1], "", unlike),
-        Claim("Fig. 4: largest release from which the unclamped law returns, y/y0", returns_from, "", below),
     )
     return PaperFigure(claims, figure)
