@@ -141,8 +141,6 @@ PERCENTILES = {"p5": 5.0, "p50": 50.0, "p95": 95.0, "max": 100.0}
 """Percentiles of a distribution, by name. Each is the value of a trial: nothing is interpolated."""
 _WIDE = 8.0
 """Ratio of largest to smallest error from which the axis is logarithmic."""
-OUTLIER = 2.0
-"""A trial is an outlier above this multiple of the median peak-to-peak error."""
 
 
 def run_trials(scenario: Scenario, seed: int, trials: Sequence[int]) -> list[TrialResult]:
@@ -210,11 +208,9 @@ class LawSummary:
         return {name for name, value in self.percentiles("pp").items() if value in errors}
 
     @property
-    def outliers(self) -> dict[int, float]:
-        """Peak-to-peak error in m of each trial in which it is above `OUTLIER` medians, by trial, worst first."""
-        limit = OUTLIER * self.percentiles("pp")["p50"]
-        worst_first = sorted(self.results, key=lambda one: -one.pp)
-        return {one.trial: one.pp for one in worst_first if one.pp > limit}
+    def worst(self) -> TrialResult:
+        """The trial with the largest peak-to-peak error."""
+        return max(self.results, key=lambda one: one.pp)
 
     @property
     def verdicts(self) -> dict[str, int]:
@@ -245,8 +241,7 @@ class LawSummary:
             "machines_not_in_order": [
                 {"trial": one.trial, "pp_um": one.pp * 1e6, **one.verdict._asdict()} for one in self.not_in_order
             ],
-            "worst_trial": max(self.results, key=lambda one: one.pp).trial,
-            "outliers": [{"trial": trial, "pp_um": pp * 1e6} for trial, pp in self.outliers.items()],
+            "worst_trial": self.worst.trial,
         }
 
 

@@ -32,9 +32,8 @@ from straightcomp_ros.cli.results import (
 )
 from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.stage.description import UncertaintyParameters
 from straightcomp_ros.straightness.survey_header import SurveyError
-from straightcomp_ros.tuning.sweep.trial import OUTLIER, PERCENTILES, LawSummary, plot_sweep, summarise, sweep
+from straightcomp_ros.tuning.sweep.trial import PERCENTILES, LawSummary, plot_sweep, summarise, sweep
 
 SUMMARY = "run many strokes on uncertain machines, offline"
 PURPOSE = "tune"
@@ -89,17 +88,12 @@ def run(options: argparse.Namespace) -> None:
         print_json({**run_of, **verdict._asdict()})
     else:
         title = f"True compensation error p-p in µm on {machines}, seed {options.seed}"
-        columns = ("law", *PERCENTILES, "RMS Δi_c [mA]", "not in order")
+        columns = ("law", *PERCENTILES, "worst machine", "RMS Δi_c [mA]", "not in order")
         table = titled_table(title, *columns, rows=map(_row, summaries))
-        table.caption = f"{_conditions(scenario.description.uncertainty)}\n{seconds:.0f} s"
-        table.caption_justify = "left"
         console.print(table)
         for summary in summaries:
-            if summary.outliers:
-                worst = ", ".join(f"{trial} ({with_digits(pp * 1e6, 2)} µm)" for trial, pp in summary.outliers.items())
-                console.print(f"{summary.law}, worse than {OUTLIER:g} times its median: machine {worst}")
-                console.print("Run one alone with --machine K.")
             print_verdict(summary.verdict, summary.law)
+        console.print(f"{seconds:.0f} s; the machines are those of stage.uncertainty; --machine K runs one alone.")
         if plot is not None:
             print_written(plot, then="run one machine alone with --machine K")
     fail_unless_in_order(verdict)
@@ -109,7 +103,7 @@ def _row(summary: LawSummary) -> list[object]:
     texts = {name: with_digits(value * 1e6, 3) for name, value in summary.percentiles("pp").items()}
     pp = [doubtful(text) if name in summary.doubtful else text for name, text in texts.items()]
     step = with_digits(summary.percentiles("control_rms_step")["p50"] * 1e3, 1)
-    return [summary.law, *pp, step, len(summary.not_in_order)]
+    return [summary.law, *pp, summary.worst.trial, step, len(summary.not_in_order)]
 
 
 def _verdict(summaries: list[LawSummary]) -> Verdict:
@@ -118,13 +112,3 @@ def _verdict(summaries: list[LawSummary]) -> Verdict:
         if not summary.verdict.in_order:
             return Verdict(summary.verdict.verdict, f"law '{summary.law}': {summary.verdict.reason}")
     return summaries[0].verdict
-
-
-def _conditions(ranges: UncertaintyParameters) -> str:
-    return (
-        f"mass ±{ranges.mass:.0%}, magnetic force ±{ranges.force:.0%}, air gap ±{ranges.air_gap:.0%}, "
-        f"friction × or ÷ {ranges.friction:g}, amplifier × or ÷ {ranges.amplifier:g}, "
-        f"sensor noise to {ranges.sensor_noise:g} counts RMS, "
-        f"delay × {ranges.shortest_delay:g} to {ranges.longest_delay:g}, jitter ±{ranges.jitter:g} samples, "
-        f"survey error {ranges.map_noise * 1e6:g} µm RMS"
-    )
