@@ -1,8 +1,7 @@
 """The hub: takes packets from each node of its bus and passes them to all others, with injected faults if asked for.
 
 A SOCK_SEQPACKET socket keeps packets whole and in order, and shows when a node is gone. A node that does not read loses
-frames; the others go on. Of each node's oldest waiting frame, the one of highest priority goes first, as on a bus.
-Frames take no time on this bus.
+frames; the others go on. Frames take no time on this bus, and its nodes take turns, whatever the identifiers.
 """
 
 import contextlib
@@ -24,7 +23,7 @@ FLOOD = 20
 """Frames that a babbling node sends before each of ours."""
 _FOREIGN = 0x7
 _AT_ONCE = 16
-"""Frames between two polls of the sockets."""
+"""Frames of a node before the others have their turn."""
 _LONGEST_WAIT_S = 0.1
 BUFFER = 1 << 20
 """Bytes that a socket of the bus holds for one that does not read."""
@@ -56,14 +55,6 @@ def to_packet(frame: Frame) -> bytes:
 def from_packet(packet: bytes) -> Frame:
     stamp_ns, identifier, flags = _HEAD.unpack_from(packet)
     return Frame(stamp_ns, identifier, flags, packet[_HEAD.size :])
-
-
-def priority(frame: Frame) -> tuple[int, int, int]:
-    """Sort key by which frames win the bus, the lowest first: by the bits of the identifier."""
-    if frame.identifier & EXTENDED_ID:
-        # After eleven equal bits a standard frame wins.
-        return (frame.identifier & ~EXTENDED_ID) >> 18, 1, frame.identifier & 0x3FFFF
-    return frame.identifier, 0, 0
 
 
 class LinkCut(Exception):
@@ -173,8 +164,6 @@ class Hub:
         self._calls: dict[int, Callable[[], object]] = {}
         """What is to be done when a descriptor can be read."""
         self._nodes: list[socket.socket] = []
-        self._waiting: dict[socket.socket, bytes] = {}
-        """The oldest unsent frame of each node that has one."""
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._bind()
@@ -206,17 +195,10 @@ class Hub:
 
     def wait(self, timeout_s: float) -> None:
         """Pass on a bounded number of frames, waiting up to ``timeout_s`` for the first."""
-        waiting = self._waiting
-        for descriptor, _ in self._readable.poll(0 if waiting else round(1e3 * timeout_s)):
+        for descriptor, _ in self._readable.poll(round(1e3 * timeout_s)):
             # A node may have gone meanwhile.
             if descriptor in self._calls:
                 self._calls[descriptor]()
-        for _ in range(_AT_ONCE):
-            if not waiting:
-                break
-            sender = min(waiting, key=lambda node: priority(from_packet(waiting[node])))
-            self._pass_on(sender, waiting.pop(sender))
-            self._fetch(sender)
 
     def send(self, identifier: int, payload: bytes, *, fd: bool) -> bool:
         """Pass a frame of the ``member`` to all others; a node that does not read loses it silently."""
@@ -245,25 +227,25 @@ class Hub:
             self._readable.unregister(node)
             del self._calls[node.fileno()]
             self._nodes.remove(node)
-            self._waiting.pop(node, None)
             with contextlib.suppress(OSError):
                 node.shutdown(socket.SHUT_RDWR)
             node.close()
 
     def _fetch(self, node: socket.socket) -> None:
-        """Take a node's next frame, unless one waits already or the node is gone."""
-        if node in self._waiting or node not in self._nodes:
-            return
-        try:
-            packet = node.recv(LONGEST)
-        except BlockingIOError:
-            return
-        except OSError:
-            packet = b""
-        if packet:
-            self._waiting[node] = packet
-        else:
-            self._forget(node)
+        """Pass on what a node has sent, up to :data:`_AT_ONCE` frames; a fault may cut its link meanwhile."""
+        for _ in range(_AT_ONCE):
+            if node not in self._nodes:
+                return
+            try:
+                packet = node.recv(LONGEST)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if not packet:
+                self._forget(node)
+                return
+            self._pass_on(node, packet)
 
     def _pass_on(self, sender: socket.socket | None, packet: bytes) -> None:
         self.passed += 1

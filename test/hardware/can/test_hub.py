@@ -20,8 +20,6 @@ from straightcomp_ros.hardware.can.link import Link
 from straightcomp_ros.hardware.interface import HardwareError
 
 WAITING = "transmit buffer full"
-EXTENDED = 0x181 << 18
-IN_ORDER = [0x180, 0x181, EXTENDED, EXTENDED + 1, EXTENDED + 0x3FFFF, 0x182]
 
 
 class World:
@@ -149,34 +147,19 @@ def test_a_node_waits_for_a_frame_as_long_as_it_is_asked_to(world):
         sending.join()
 
 
-@pytest.mark.parametrize(
-    ("waiting", "order"),
-    [
-        ([(0x300, 0x100), (0x200, 0x50)], [0x200, 0x50, 0x300, 0x100]),
-        # A standard frame wins over an extended one with the same first bits.
-        ([(0x182,), (EXTENDED + 1,), (EXTENDED,), (0x181,), (EXTENDED + 0x3FFFF,), (0x180,)], IN_ORDER),
-    ],
-    ids=["nodes with several", "identifiers of 11 and 29 bits"],
-)
-def test_of_the_frames_that_wait_the_lowest_identifier_goes_first_and_each_node_keeps_its_order(world, waiting, order):
-    *senders, receiver = world.nodes(len(waiting) + 1)
-    for sender, identifiers in zip(senders, waiting, strict=True):
-        for identifier in identifiers:
-            sender.send(message(identifier, is_extended_id=identifier >= EXTENDED))
-    world.hub.run(lambda: world.hub.passed == len(order))
-    assert [receiver.recv(10).arbitration_id for _ in order] == order
-
-
-def test_a_hub_waits_as_long_as_it_is_asked_to_and_not_while_frames_wait(world):
-    sender, _ = world.nodes(2)
+def test_nodes_take_turns_and_each_keeps_the_order_of_its_frames(world):
+    first, second, receiver = world.nodes(3)
+    for number in range(40):
+        first.send(message(0x300 + number))
+    second.send(message(0x200))
     begin = time.monotonic()
-    world.hub.wait(0.02)
-    assert time.monotonic() - begin >= 0.019
-    for number in range(17):
-        sender.send(message(number))
-    while world.hub.passed < 17:
+    while world.hub.passed < 41:
         world.hub.wait(100.0)
     assert time.monotonic() - begin < 30
+    world.hub.wait(0.02)
+    assert time.monotonic() - begin >= 0.019
+    arrived = [receiver.recv(10).arbitration_id for _ in range(41)]
+    assert arrived.index(0x200) < 40 and [one for one in arrived if one != 0x200] == [*range(0x300, 0x328)]
 
 
 def test_a_hub_takes_over_a_socket_that_was_left_but_not_one_in_use_and_without_one_a_node_says_so(tmp_path, world):
