@@ -124,13 +124,10 @@ def _replay(options: argparse.Namespace) -> None:
     recorded, wire = RecordedBus(options.log, options.channel), parameters.make_wire()
     identifiers = [*wire.identifiers, EmulatorFrames(wire).truth_id]
     try:
-        count, silences = check_times_and_buses(of_the_board(recorded, identifiers))
-        if not count:
+        if not check_times_and_buses(of_the_board(recorded, identifiers)):
             raise HardwareError(recorded.damage or _without_frames(recorded, parameters))
     except HardwareError as error:
         raise CommandFailed(f"{log}: {error}", exit_code=2) from error
-    for silence in silences:
-        notes.print(f"{log}: {silence}")
     try:
         with opened_bus(parameters) as bus, working("sending"):
             sent = play(of_the_board(recorded, identifiers), bus, options.speed)

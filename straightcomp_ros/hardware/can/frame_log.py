@@ -33,8 +33,8 @@ _WRITE_EVERY_S, _SAVE_EVERY_S = 0.02, 1.0
 _AT_ONCE = 8
 _SEND_TIMEOUT_S = 1.0
 _NO_FRAME = "its first frame cannot be read; allowed: a whole log of the kind that its ending says"
-_SILENCE_S, _JUMP_S, _BACK_S = 1.0, 60.0, 1.0
-"""A running board sends at least its samples: a silence is worth a note, and beyond these only a clock was set."""
+_JUMP_S, _BACK_S = 60.0, 1.0
+"""A running board sends at least its samples: beyond these a clock was set."""
 _OF_FORMATS = (BLFParseError, struct.error, zlib.error, sqlite3.Error)
 _UNREADABLE = (*_OF_FORMATS, ValueError, LookupError, ArithmeticError, TypeError, EOFError, MemoryError, OSError)
 _LINES = (".log", ".asc", ".trc", ".csv")
@@ -271,13 +271,13 @@ def _plain_asc(file: Path) -> TextIO:
     return cast("TextIO", plain)
 
 
-def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]]:
-    """How many frames of one board a log has, and a sentence for each silence in them.
+def check_times_and_buses(frames: Iterable[can.Message]) -> int:
+    """How many frames of one board a log has.
 
     Raises:
         HardwareError: they are of several buses, or the clock of the recorder jumped.
     """
-    number, notes, last = 0, [], None
+    number, last = 0, None
     for number, frame in enumerate(frames, 1):
         last = last or frame
         step_s = frame.timestamp - last.timestamp
@@ -288,20 +288,11 @@ def check_times_and_buses(frames: Iterable[can.Message]) -> tuple[int, list[str]
             )
         if not -_BACK_S <= step_s <= _JUMP_S:
             raise HardwareError(
-                f"the clock of the recorder jumped by {_duration(step_s)} after frame {number - 1} of the board; "
-                "allowed: a log that ends there, or begins"
+                f"the clock of the recorder jumped by {step_s:.1f} s after frame {number - 1} of the board; "
+                f"allowed: -{_BACK_S:g} to {_JUMP_S:g} s"
             )
-        if step_s > _SILENCE_S:
-            notes.append(f"a silence of {_duration(step_s)} after frame {number - 1} of the board is played as it is")
         last = frame
-    return number, notes
-
-
-def _duration(seconds: float) -> str:
-    units = ((365.25 * 86400, "years"), (86400.0, "days"), (3600.0, "h"), (60.0, "min"), (0.0, "s"))
-    size, name = next(unit for unit in units if abs(seconds) >= unit[0])
-    text = f"{seconds / (size or 1.0):.3g}"
-    return f"{text} {name.rstrip('s') if text == '1' and size else name}"
+    return number
 
 
 def of_the_board(frames: Iterable[can.Message], identifiers: Collection[int]) -> Iterator[can.Message]:
