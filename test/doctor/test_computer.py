@@ -43,7 +43,7 @@ def refused():
 def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(monkeypatch, verb):
     monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
     found = verb("doctor", "--json", "--stage", share_path("config/board_motorola.yaml")).json
-    assert any(check["detail"].startswith("there is no heartbeat") for check in found["checks"])
+    assert any(check["detail"].startswith("no signal for 'heartbeat'") for check in found["checks"])
 
 
 @pytest.mark.parametrize(("states", "code"), [(["ok", "warn"], 0), (["fail", "ok"], 1)])

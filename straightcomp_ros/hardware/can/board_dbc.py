@@ -95,6 +95,7 @@ class Wire:
         part_modulus: of the count by which the frames of a sample belong together; 0: by their time.
         reports: all frames of the board but the heartbeat, by identifier.
         counting: frames with the sample's number: ``sample``, others, or None.
+        signals: by their roles.
         homes: the board's frames by the role of each of their signals.
         commands: all frames of the host, in the order of sending: those with the current last.
         command: those with the current.
@@ -118,7 +119,7 @@ class Wire:
         self._taken: dict[int, str] = {}
         self._users: dict[tuple[str, str], str] = {}
         """By message and signal the parameter that names it."""
-        self._signals = signals = self._signals_of_roles()
+        self.signals = signals = self._signals_of_roles()
         self._names = names = {role: self._message(role).name for role in signals}
         self._pages = {role: selectors(self._message(role), signal) for role, signal in signals.items()}
         self._check_messages()
@@ -190,7 +191,7 @@ class Wire:
         return self._fault_words.get(code, f"fault {code}")
 
     def _fault_code(self, fault: BoardFault) -> int:
-        signal, none = self._signals.get("fault"), self.meaning.fault.none_value
+        signal, none = self.signals.get("fault"), self.meaning.fault.none_value
         if signal is None:
             return 0
         if fault is BoardFault.NONE:
@@ -273,16 +274,16 @@ class Wire:
                 raise RefusedParameter(f"wire.{role}.signal", f"{self._place(role)} {text}")
 
     def _check_values(self) -> None:
-        for role in (role for role in _CODED if role in self._signals):
-            named, (least, largest) = getattr(self.meaning, role), limits(self._signals[role])
+        for role in (role for role in _CODED if role in self.signals):
+            named, (least, largest) = getattr(self.meaning, role), limits(self.signals[role])
             for name in (name for name in vars(named) if name.endswith("_value")):
                 raw = getattr(named, name)
                 # -1 says of the amplifier's states but "on" that they have no value of their own.
                 if not least <= raw <= largest and not (role == "amplifier" and raw == -1):
                     text = f"{raw} does not fit signal {self._place(role)}; allowed: {least} to {largest}"
                     raise RefusedParameter(f"wire.{role}.{name}", text)
-        for role in (role for role in ("amplifier", *_SWITCHES) if role in self._signals):
-            values, (least, largest) = self._values()[role], limits(self._signals[role])
+        for role in (role for role in ("amplifier", *_SWITCHES) if role in self.signals):
+            values, (least, largest) = self._values()[role], limits(self.signals[role])
             given = [raw for raw in values.values() if raw != -1]
             if len(set(given)) < len(given):
                 text = f"{self._place(role)} has one value for two meanings: {given}; allowed: different ones"
@@ -297,7 +298,7 @@ class Wire:
                 raise RefusedParameter("wire.amplifier.fault_value", text)
 
     def _place(self, role: str) -> str:
-        return f"'{self._signals[role].name}' of message '{self._names[role]}'"
+        return f"'{self.signals[role].name}' of message '{self._names[role]}'"
 
     def _protections(self) -> dict[str, tuple[str, ProtectionParameters]]:
         """For each message by name the group that describes its protection, and how."""
@@ -322,7 +323,7 @@ class Wire:
         other = self._taken.setdefault(identifier, name)
         if other != name:
             raise RefusedParameter("dbc", f"messages '{other}' and '{name}' of {self.dbc.file} have one identifier")
-        fields = {_FIELDS.get(role, role): self._signals[role] for role in inside}
+        fields = {_FIELDS.get(role, role): self.signals[role] for role in inside}
         alive, used, crc = None, list(fields.values()), None
         if protected.alive:
             alive = fields["alive"] = self._find(message, protected.alive, f"{place}.alive", in_every_frame=True)
@@ -338,7 +339,7 @@ class Wire:
         with _naming(f"wire.{inside[0]}.signal"):
             message = used_signals(message, list({one.name: one for one in used}.values()))
         factors = {_FIELDS.get(role, role): self._factor(role) for role in inside if _FIELDS.get(role, role) in UNITS}
-        code = self._signals.get("fault")
+        code = self.signals.get("fault")
         no_fault = self.meaning.fault.none_value & (1 << code.length) - 1 if code else 0
         wraps = self.meaning.x_wraps
         if wraps and "x" in fields and fields["x"].is_float:
@@ -352,7 +353,7 @@ class Wire:
         if abs(factor) < _LEAST_FACTOR:
             text = f"{factor} is not allowed; allowed: >= {_LEAST_FACTOR:g}, of either sign"
             raise RefusedParameter(f"wire.{role}.factor", text)
-        unit = named.unit or self._signals[role].unit or ""
+        unit = named.unit or self.signals[role].unit or ""
         if unit not in known:
             text = f"{self._place(role)} is in '{unit}'; allowed: {', '.join(known)[2:]}, or no unit for SI"
             if named.unit:
@@ -394,7 +395,7 @@ class Wire:
         if self.sample_modulus and self.sample_modulus < _LEAST_COUNTS:
             text = f"message '{self.parts[0].name}' counts to {self.sample_modulus}; allowed: >= {_LEAST_COUNTS} counts"
             raise RefusedParameter("wire.counter.signal", text)
-        if "echo" in self._signals and not self.number_modulus:
+        if "echo" in self.signals and not self.number_modulus:
             raise RefusedParameter("wire.echo.signal", "needs a count of the samples: 'counter' or 'protection.sample'")
         if self.echo_modulus and self.number_modulus % self.echo_modulus:
             text = f"{self._place('echo')} counts to {self.echo_modulus}; allowed: a divisor of the "
@@ -412,31 +413,34 @@ def wire_of(file: str, modified: int, meaning: WireParameters, node: int, fd: bo
 _SHORT = 256
 """Samples: a counter of no more counts does not bridge a fifth of a second at 2 kHz."""
 
-_SLOW = {
-    "amplifier": "state of the amplifier",
-    "fault": "fault code",
-    "counter": "number of a sample",
-    "current": "measured current",
-    "referenced": "reference of x",
+_WITHOUT = {
+    "good": "bad readings are found only by their limits",
+    "referenced": "after a power cycle x must be referenced before it is used",
+    "current": "the commanded one stands for the measured one",
+    "heartbeat": "a board that restarts is found only by its samples and its state",
+    "echo": "the board does not know which sample a command answers, and how old it is",
+    "reset": "the board must clear its fault when a command says off",
 }
-"""What frames say that do not come with each sample."""
+"""By role what a board without its signal does not allow."""
 
 
 def gaps(wire: Wire) -> list[str]:
     """One sentence for each thing that the frames lack; none for the package's own."""
     found = [
-        f"{frames.name} has no CRC: a damaged sample is found only where it is not plausible"
-        for frames in wire.parts
+        f"{frames.name} has no CRC: a damaged frame is found only where it is not plausible"
+        for frames in (*wire.reports.values(), *wire.commands)
         if frames.crc is None
     ]
-    if len(wire.parts) > 1 and not wire.part_modulus:
-        found.append(
-            f"{_has(wire.parts)} no counter in each: frames that come within half a period of each other are taken for "
-            "one sample"
-        )
+    for what, several, modulus in (
+        ("sample", wire.parts, wire.part_modulus),
+        ("command", wire.commands, wire.command_modulus),
+    ):
+        if len(several) > 1 and not modulus:
+            names = " and ".join(frames.name for frames in several)
+            found.append(f"{names} do not all have a counter: frames that come together are taken for one {what}")
     if not wire.sample_modulus:
         found.append(
-            f"{_has(wire.parts)} no counter: repeated samples are not found, lost ones only after eight more; after a "
+            "no counter numbers the samples: repeated ones are not found, lost ones only after eight more; after a "
             "silence of ten the numbers start anew, which is a fault while the amplifier is on"
         )
     elif wire.number_modulus <= _SHORT:
@@ -444,36 +448,6 @@ def gaps(wire: Wire) -> list[str]:
             f"{wire.parts[0].name} counts to {wire.sample_modulus} only: after a silence of as many "
             "samples the numbers start anew, which is a fault while the amplifier is on"
         )
-    if "good" not in wire.homes:
-        found.append("no signal says whether the readings are good: bad ones are found only by their limits")
-    for frames in wire.reports.values():
-        if frames not in wire.parts and frames.crc is None:
-            said = " or ".join(words for field, words in _SLOW.items() if field in frames.fields)
-            found.append(f"{frames.name} has no CRC: a damaged {said} is believed")
-    if "referenced" not in wire.homes:
-        found.append(
-            "no signal says whether x is referenced: after a power cycle x must be referenced before it is used"
-        )
-    if wire.current is None:
-        found.append("no signal has the measured current: the commanded one stands for it")
-    if wire.heartbeat is None:
-        found.append("there is no heartbeat: a board that restarts is found only by its samples and its state")
-    for asked in wire.commands:
-        if asked.crc is None:
-            found.append(f"{asked.name} has no CRC: the board would act on a damaged command")
-        if "alive" not in asked.fields:
-            found.append(f"{asked.name} has no counter: the board does not find repeated commands")
-    has = _has(wire.commands)
-    asks = {field for asked in wire.commands for field in asked.fields}
-    if len(wire.commands) > 1 and not wire.command_modulus:
-        found.append(f"{has} no counter in each: the board must find by their time which belong together")
-    if "echo" not in asks:
-        found.append(f"{has} no echo: the board does not know which sample a command answers, and how old it is")
-    if "reset" not in asks:
-        found.append(f"{has} no reset: the board must clear its fault when a command says off")
-    return found
-
-
-def _has(several: Sequence[Frames]) -> str:
-    names = [frames.name for frames in several]
-    return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'}"
+    if not any("alive" in frames.fields for frames in wire.commands):
+        found.append("no counter numbers the commands: the board does not find repeated ones")
+    return found + [f"no signal for '{role}': {words}" for role, words in _WITHOUT.items() if role not in wire.signals]

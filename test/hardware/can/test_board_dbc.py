@@ -308,33 +308,32 @@ def classic(**protection):
     return CanParameters(dbc=str(share_path("config/straightcomp.dbc")), wire=wire, fd=False)
 
 
-UNREFERENCED = "no signal says whether x is referenced"
 LACKING = {
     "own, classic": (classic(), []),
     "own, FD": (CanParameters(fd=True), []),
     "own without a CRC of the slow frames": (
         classic(current=can_parameters.ProtectionParameters()),
-        ["CoilCurrent has no CRC: a damaged number of a sample or measured current or reference of x is believed"],
+        ["CoilCurrent has no CRC"],
     ),
-    "foreign": (board_of(FOREIGN_FILE), ["DSP_MEAS counts to 256 only", "there is no heartbeat", UNREFERENCED]),
+    "foreign": (
+        board_of(FOREIGN_FILE),
+        ["DSP_MEAS counts to 256 only", *(f"no signal for '{role}'" for role in ("heartbeat", "referenced"))],
+    ),
     "bare": (
         BARE,
         [
-            *(f"{message} has no {what}" for message in ("SAMPLE", "SET") for what in ("CRC", "counter")),
-            *("SET has no echo", "SET has no reset", "there is no heartbeat"),
-            *("no signal says whether the readings are good", UNREFERENCED, "no signal has the measured current"),
+            *(f"{message} has no CRC" for message in ("SAMPLE", "SET")),
+            *(f"no counter numbers the {what}" for what in ("samples", "commands")),
+            *(f"no signal for '{role}'" for role in ("good", "referenced", "current", "heartbeat", "echo", "reset")),
         ],
     ),
     "split without counts": (
         without_counts(SPLIT),
         [
-            *(f"{message} has no CRC: a damaged sample" for message in ("DSP_X", "DSP_Y")),
-            *(f"{message} has no CRC: the board would act" for message in ("PC_SWITCH", "PC_CURRENT")),
-            *(f"{message} has no counter: the board" for message in ("PC_SWITCH", "PC_CURRENT")),
-            *("DSP_X and DSP_Y have no counter in each: frames that come within half a period",),
-            *("DSP_X and DSP_Y have no counter: repeated", "PC_SWITCH and PC_CURRENT have no counter in each"),
-            *("PC_SWITCH and PC_CURRENT have no echo", "DSP_I has no CRC: a damaged measured", "there is no heartbeat"),
-            UNREFERENCED,
+            *(f"{message} has no CRC" for message in ("DSP_X", "DSP_Y", "DSP_I", "PC_SWITCH", "PC_CURRENT")),
+            *(f"{names} do not all have a counter" for names in ("DSP_X and DSP_Y", "PC_SWITCH and PC_CURRENT")),
+            *(f"no counter numbers the {what}" for what in ("samples", "commands")),
+            *(f"no signal for '{role}'" for role in ("referenced", "heartbeat", "echo")),
         ],
     ),
 }
