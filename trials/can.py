@@ -25,7 +25,7 @@ from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.backend import CanHardware
 from straightcomp_ros.hardware.can.board_dbc import Wire
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
-from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
+from straightcomp_ros.hardware.can.emulator import Board, BoardProgram
 from straightcomp_ros.hardware.can.frames import BoardFault, Command, Report
 from straightcomp_ros.hardware.can.hub import ERROR, FD, FD_FRAME, FLOOD, KINDS, NO_DATA, Faults, Frame, LinkCut
 from straightcomp_ros.hardware.can.receiver import Receiver
@@ -316,8 +316,7 @@ class FirmwareBoard:
         guide: StraightnessMap,
         send: Callable[[int, bytes, bool], None],
     ) -> None:
-        arguments = program_arguments(can, parameters, stage, bus="", lead_ns=0)
-        self._board = BoardProgram(can, arguments, parameters, stage, guide)
+        self._board = BoardProgram(can, parameters, stage, guide)
         self._send = send
         self._command_ids = {frames.identifier for frames in can.make_wire().commands}
         self.machine, self.start = self._board.machine, self.cycle

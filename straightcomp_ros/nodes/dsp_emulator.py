@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from straightcomp_ros.cell.stop_signals import noting_stop
-from straightcomp_ros.hardware.can.emulator import Board, BoardProgram, program_arguments
+from straightcomp_ros.hardware.can.emulator import Board, BoardProgram
 from straightcomp_ros.hardware.can.hub import NO_DATA, Frame, Hub
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import Link
@@ -110,12 +110,11 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
     """Be the machine of the firmware core, which is a process of its own on the bus."""
     can, simulated, stage, guide = parameters.can, parameters.simulated, parameters.stage, parameters.guide()
     bus = str(Path(can.channel).absolute()) if can.interface == INTERFACE else can.channel
-    arguments = program_arguments(can, simulated, stage, bus=bus, lead_ns=_LEAD_NS)
     with ExitStack() as closed:
         hub = closed.enter_context(closing(Hub(can.channel))) if own_hub else None
         # The program inherits it.
         _schedule(parameters.realtime)
-        program = closed.enter_context(closing(BoardProgram(can, arguments, simulated, stage, guide)))
+        program = closed.enter_context(closing(BoardProgram(can, simulated, stage, guide, bus, _LEAD_NS)))
         said: tuple[str, ...] = ()
 
         def ended() -> bool:

@@ -14,7 +14,7 @@ import math
 import socket
 import struct
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from fractions import Fraction
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
@@ -209,18 +209,14 @@ def _within(value: float, span: tuple[float, float]) -> float:
     return min(max(value, span[0]), span[1])
 
 
-def program_arguments(
-    can: CanParameters, parameters: SimulatedParameters, stage: StageParameters, *, bus: str, lead_ns: int
-) -> list[str]:
-    """Arguments of the program, NAME=VALUE, for a board on a stage; ``bus`` is empty in lockstep."""
+def program_arguments(can: CanParameters, parameters: SimulatedParameters, stage: StageParameters) -> list[str]:
+    """Arguments of the program, NAME=VALUE, that say what board it is, and on what stage."""
     drive, encoder, hold = stage.drive, stage.encoder, parameters.hold(stage)
     wire = can.make_wire()
     x, y = (
         _scale(own, wire.homes[name], name) for own, name in ((encoder.x_resolution, "x"), (encoder.y_resolution, "y"))
     )
     values = {
-        "bus": bus,
-        "lead_ns": lead_ns,
         "node": can.node,
         "fd": int(can.fd),
         "source": wire.source(),
@@ -259,9 +255,10 @@ class BoardProgram:
     """The running program and its machine.
 
     Args:
-        can: names the program, board_posix or another build of it, and the bus.
-        arguments: see :func:`program_arguments`.
+        can: names the program, board_posix or another build of it.
         parameters, stage, guide: of the machine, as of :class:`~straightcomp_ros.hardware.simulated.SimulatedHardware`.
+        bus: on which it is, as it names it; empty in lockstep.
+        lead_ns: time in which this process wakes up and simulates.
 
     Raises:
         HardwareError: the program cannot be started.
@@ -270,10 +267,11 @@ class BoardProgram:
     def __init__(
         self,
         can: CanParameters,
-        arguments: Sequence[str],
         parameters: SimulatedParameters,
         stage: StageParameters,
         guide: StraightnessMap,
+        bus: str = "",
+        lead_ns: int = 0,
     ) -> None:
         # What acts when, the hold and the command timeout are the firmware's.
         bare = dataclasses.replace(parameters, command_timeout=1.0, hold_after=1e6)
@@ -284,7 +282,8 @@ class BoardProgram:
         self._name, self._started = can.firmware, False
         self.socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            command = [can.firmware, f"machine={theirs.fileno()}", *arguments]
+            command = [can.firmware, f"machine={theirs.fileno()}", f"bus={bus}", f"lead_ns={lead_ns}"]
+            command += program_arguments(can, parameters, stage)
             try:
                 self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()])
             except OSError as error:
