@@ -52,9 +52,13 @@ _ABOUT = re.compile(r'(?:BA_\s+"([^"]*)"\s+(?:BO_|SG_)|VAL_|SIG_VALTYPE_|SG_MUL_
 _LONG_NAME = "SystemMessageLongSymbol"
 _READ = {"GenMsgCycleTime", "GenSigStartValue", "VFrameFormat", "SystemSignalLongSymbol", _LONG_NAME}
 """Attributes that mean something to the driver."""
-_MOST_BITS, _MOST_PAGES, _LONGEST_CYCLE_MS = 8 * _FD_SIZES[-1], 1 << 20, 1e9
-_LONG_NUMBER = re.compile(r"\b\d{1000,}|\b\d+\.?\d*[eE][-+]?\d{4,}")
-_BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
+_LONGEST_CYCLE_MS = 1e9
+_TOO_LARGE = re.compile(
+    r"\b\d{1000,}|\b\d+\.?\d*[eE][-+]?\d{4,}"
+    r"|^(?:BO_|SG_)\b[^:]*:[^(]*?(?<!\w)\d{5,}|^SG_MUL_VAL_\s+\d+\s.*?(?<!\w)\d{6,}",
+    re.DOTALL,
+)
+"""Numbers of any kind, sizes and places of messages and signals, pages."""
 _WORDS = re.compile(r'"(?:\\"|[^"])*"|//.*')
 """Texts and comments in a statement."""
 _LEAST_FACTOR, _LARGEST_FACTOR = 1e-18, 1e18
@@ -179,22 +183,11 @@ class Dbc:
 def _refuse_sizes(statements: Iterable[str]) -> None:
     """Raise ValueError for a number in the statements of a message that would fill the memory: cantools writes a letter
     for each bit of a message, and a table for each page of a multiplexer."""
-    shown = 0
     for text in statements:
-        plain = _WORDS.sub("", text)
-        keyword = plain.split(maxsplit=1)[0]
-        if number := _LONG_NUMBER.search(plain):
-            raise ValueError(f"{number[0]:.20}… in {keyword}; allowed: numbers of less than 1000 digits")
-        if keyword in ("BO_", "SG_"):
-            places = _BRACKETS.sub("", plain).partition(":")[2]
-            for size in map(int, re.findall(r"(?<!\w)\d+", places)):
-                if size > _MOST_BITS:
-                    raise ValueError(f"{size:.9g} in {keyword}; allowed for size, start and length: <= {_MOST_BITS}")
-        elif keyword == "SG_MUL_VAL_":
-            ranges = re.findall(r"(\d+)\s*\D(\d+)", plain.split(maxsplit=4)[-1])
-            shown += sum(max(0, int(last) - int(first)) for first, last in ranges)
-            if shown > _MOST_PAGES:
-                raise ValueError(f"more than {_MOST_PAGES} pages in {keyword}; allowed: no more in a message")
+        if found := _TOO_LARGE.search(_WORDS.sub("", text)):
+            raise ValueError(
+                f"…{found[0][-20:]} in {text.split(maxsplit=1)[0]}; allowed: less than 10000 bits, 100000 pages"
+            )
 
 
 def is_fd(message: Message) -> bool:
