@@ -256,29 +256,23 @@ def test_a_silence_says_what_the_bus_lacks_if_it_is_known(problem, end):
     assert world.host.fault[0] is Fault.SAMPLE_TIMEOUT and world.host.fault[1].endswith(end)
 
 
-def test_a_single_command_that_is_lost_is_no_silence_however_short_the_timeout():
-    world = World(replace(CLASSIC, command_timeout=1e-4))
+@pytest.mark.parametrize(
+    ("lost", "timeout", "fault"),
+    [("commands", "command_timeout", Fault.COMMAND_TIMEOUT), ("to_host", "sample_timeout", Fault.SAMPLE_TIMEOUT)],
+)
+def test_a_single_command_or_sample_that_is_lost_is_no_silence_however_short_the_timeout_and_four_are(
+    lost, timeout, fault
+):
+    world = World(replace(CLASSIC, **{timeout: 1e-4}))
     world.board.machine.command_timeout_ns = 10**12
     world.on()
-    for _ in range(10):
-        world.commands = False
-        world.run(0.0005)
-        world.commands = True
+    for seconds in (*[0.0005] * 10, 0.002):
+        assert world.host.fault is None and world.board.amplifier is State.ON
+        setattr(world, lost, False)
+        world.run(seconds)
+        setattr(world, lost, True)
         world.run(0.002)
-    assert world.host.fault is None and world.board.amplifier is State.ON
-
-
-def test_a_single_sample_that_is_lost_is_no_silence_however_short_the_timeout_and_four_are():
-    world = World(replace(CLASSIC, sample_timeout=1e-4)).on()
-    for _ in range(10):
-        world.to_host = False
-        world.run(0.0005)
-        world.to_host = True
-        world.run(0.002)
-    assert world.host.fault is None and world.board.amplifier is State.ON
-    world.to_host = False
-    world.run(0.002)
-    assert world.host.fault[0] is Fault.SAMPLE_TIMEOUT
+    assert world.host.fault[0] is fault
 
 
 @pytest.mark.parametrize("can", [FOREIGN, SPLIT], ids=["foreign", "split"])

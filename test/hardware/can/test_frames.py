@@ -321,7 +321,9 @@ def test_profile_2_needs_a_count_of_four_bits_and_the_place_of_its_bits():
             assert payload[0] == crccheck.crc.Crc8Autosar.calc(payload[1:] + bytes([IDS_OF_2[5]]))
 
 
-def test_data_ids_are_as_many_and_as_large_as_the_profile_has():
+def test_data_ids_are_as_many_and_as_large_as_the_profile_has_or_the_can_identifier():
+    assert data_ids("", "e2e_1", 0x381) == [0x381] and data_ids("", "e2e_5", 0x98FF0201) == [0x0201]
+    assert data_ids("0x123", "e2e_1", 1) == [0x123] and data_ids("", "j1850", 1) == []
     for profile, most, others in (("e2e_1", 0xFFFF, ""), ("e2e_5", 0xFFFF, ""), ("e2e_2", 0xFF, " 0" * 15)):
         assert data_ids(f"{most}{others}", profile, 1)[0] == most and data_ids(f"0{others}", profile, 1)[0] == 0
         for wrong in (f"{most + 1}{others}", f"-1{others}", f"{most}{others} 0", others, "", f"one{others}"):
@@ -374,12 +376,6 @@ def test_an_x_that_wraps_is_the_one_of_its_turns_that_the_signal_has(is_signed, 
         for x in held:
             (found,) = frames.unpack(frames.pack((frames.wrapped(x + turns * frames.x_modulus),)))
             assert found == pytest.approx(x, abs=1e-12)
-
-
-def test_data_ids_are_the_can_identifier_where_none_is_given():
-    assert data_ids("", "e2e_1", 0x381) == [0x381] and data_ids("", "e2e_5", 0x98FF0201) == [0x0201]
-    assert data_ids("0x123", "e2e_1", 1) == [0x123] and data_ids("", "j1850", 1) == []
-    assert data_ids(" ".join(map(str, IDS_OF_2)), "e2e_2", 1) == IDS_OF_2
 
 
 def emulated():
