@@ -175,11 +175,7 @@ class Board:
         number = round((sample.stamp_ns - self._start_ns) / self.machine.period_ns)
         self.counter = number % (wire.number_modulus or _COUNTED)
         y = _within(sample.y, wire.homes["y"].spans["y"])
-        if wire.sample.wraps:
-            x, good = wire.sample.wrapped(sample.x), y == sample.y
-        else:
-            x = _within(sample.x, wire.sample.spans["x"])
-            good = (x, y) == (sample.x, sample.y)
+        x = sample.x if wire.sample.wraps else _within(sample.x, wire.sample.spans["x"])
         referenced = not self.machine.unreferenced
         if not referenced and self.machine.state is State.ON:
             # A wrong x must not be compensated for the time until the host has seen it.
@@ -192,7 +188,7 @@ class Board:
             current=_within(current, wire.current.spans["current"]) if wire.current else None,
             amplifier=self.amplifier,
             fault=wire.fault_codes[self.fault],
-            good=good,
+            good=(x, y) == (sample.x, sample.y),
             referenced=referenced,
         )
         if self._sends_truth:

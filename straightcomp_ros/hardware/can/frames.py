@@ -230,7 +230,7 @@ class Frames:
         values: of the fields that say something the raw value of each meaning.
         kind: what :meth:`unpack` returns, and :meth:`pack` takes; None: a plain tuple of ``fields``.
         no_fault: the bits of the board's code of no fault.
-        wraps: x goes on at the other end of its signal's range, as an encoder's counter does.
+        wraps: x goes on at the other end of its signal's range, as an encoder's counter does; any x can be packed.
 
     Attributes:
         spans: least and largest value in SI units, by each field in ``factors``.
@@ -305,13 +305,6 @@ class Frames:
             least = -(2 ** (signal.length - 1)) if signal.is_signed else 0
             return least, least + 2**signal.length - 1
         return limits(signal)
-
-    def wrapped(self, x: float) -> float:
-        """What these frames say of a position ``x`` in m whose signal wraps."""
-        (scale, offset), least = self._line("x"), int(self._ends("x")[0])
-        raw = round((x - offset) / scale)
-        turned: float = ((raw - least) % 2 ** self.fields["x"].length + least) * scale + offset
-        return turned
 
     @property
     def turn(self) -> tuple[float, float]:
@@ -437,7 +430,7 @@ class Frames:
                 raw_of = sent_values(self.values[field])
                 said.append((at, {meaning: (raw & mask) << place for meaning, raw in raw_of.items()}))
                 continue
-            if signal.length == 64 and letter and signal.minimum is None:
+            if (signal.length == 64 and letter and signal.minimum is None) or (field == "x" and self.wraps):
                 least = largest = math.nan
             elif field in self.factors and not letter:
                 # A number is refused from half a step beyond the end on.

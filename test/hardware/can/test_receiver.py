@@ -355,7 +355,7 @@ class WrappedMachine:
         for _ in range(count):
             self.number, self.periods = self.number + 1, self.periods + 1
             self.move(speed)
-            x = self.frames.wrapped((self.at - self.zero) * COUNT)
+            x = (self.at - self.zero) * COUNT
             report = Report(self.number % 15, self.number, x, 0.0, 0.0, State.ON, 0, self.good, self.referenced)
             self.receiver.samples.clear()
             arrival_ns = START + self.periods * PERIOD
