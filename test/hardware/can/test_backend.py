@@ -29,12 +29,12 @@ TIMEOUT = 0.005
 
 
 class World:
-    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, and frames be ``unreceived``. A
-    ``welded`` board reads each "off" as "on"."""
+    """Host and board on a bus without delay; ``to_board`` and ``to_host`` may be cut, frames be ``unreceived``, and the
+    bus not be ``open``. A ``welded`` board reads each "off" as "on"."""
 
     def __init__(self, parameters):
         self.now = START
-        self.to_board = self.to_host = True
+        self.to_board = self.to_host = self.open = True
         self.welded, self.board = False, None
         self.unreceived, self._programs = set(), contextlib.ExitStack()
         self.parameters = parameters
@@ -62,15 +62,19 @@ class World:
         self._programs.close()
 
     def _from_host(self, identifier, payload, *, fd):
-        if self.to_board and self.board:
+        if self.to_board and self.open and self.board:
             if self.welded:
                 payload = self.wire.command.pack(self.wire.command.unpack(payload)._replace(enable=True))
             self.board.receive(identifier, payload, self.now)
-        return True
+        return self.open
 
     def _from_board(self, identifier, payload, fd):
         if self.to_host and identifier in set(self._identifiers) - self.unreceived:
             self._receive(Frame(self.now, identifier, FD_FRAME if fd else 0, payload), self.now + 100_000)
+
+    def opened(self, problem=""):
+        """The bus is open, or takes nothing for this ``problem``."""
+        self.open, self.host._link.problem = not problem, problem
 
     def run(self, seconds, current=0.0):
         for _ in range(round(seconds * 2000)):
@@ -234,15 +238,13 @@ def test_commands_that_stop_are_found_where_the_board_has_no_timeout_and_not_bef
     world.run(0.2)
     world.commands = True
     world.on().run(0.05, current=0.2)
-    for commands, link in ((False, True), (True, False)):
-        world.commands = commands
-        send = world.host._link.send
-        world.host._link.send = send if link else lambda *frame, **how: False
+    for commands, is_open in ((False, True), (True, False)):
+        world.commands, world.open = commands, is_open
         world.run(TIMEOUT + 0.012, current=0.2)
         assert world.host.state is State.ON and world.board.amplifier is State.ON
         world.run(0.03 - TIMEOUT - 0.012, current=0.2)
         assert world.host.fault[0] is Fault.COMMAND_TIMEOUT and world.host.applied_current == 0.0
-        world.host._link.send, world.commands = send, True
+        world.commands = world.open = True
         world.run(0.001)
         assert world.board.amplifier is State.OFF
         world.off_again()
@@ -419,11 +421,8 @@ def test_the_current_of_a_sample_is_the_commanded_one_only_where_the_board_measu
     assert world.samples[-1].current == pytest.approx(0.2, abs=0.005)
     world.host.write(0.3, world.now)
     assert world.host._receiver.current == pytest.approx(0.3 if can is BARE else 0.2, abs=0.005)
-    # Of a command in two messages one is not enough.
-    send = world.host._link.send
-    world.host._link.send = lambda identifier, *frame, **how: False
+    world.open = False
     world.host.write(-0.4, world.now)
-    world.host._link.send = send
     assert world.host._receiver.current == pytest.approx(0.3 if can is BARE else 0.2, abs=0.005)
 
 
@@ -552,7 +551,7 @@ def test_a_board_at_another_rate_than_the_stage_s_is_named_and_not_switched_on()
 def test_a_trajectory_that_cannot_be_sent_is_refused_with_the_reason():
     world, trajectory = World(FD), Trajectory(forward_and_back(MotionParameters(stroke=0.02)))
     real = CanHardware(CanParameters(simulated_stage=False), STAGE, lambda: world.now, world._link)
-    world.host._link.send = lambda identifier, payload, *, fd: False
+    world.open = False
     for host, problem, words in (
         (world.host, "", "queue full"),
         (world.host, "CAN can0: no such device", "CAN can0: no such device"),
@@ -568,20 +567,19 @@ def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_mo
     with pytest.raises(HardwareError, match=r"'can\.simulated_stage'"):
         real.pace(Pace(0.5))
     world = World(FD)
-    send, world.host._link.send = world.host._link.send, lambda *frame, **how: False
-    world.host._link.problem = "CAN can0 is not open yet"
+    world.opened("CAN can0 is not open yet")
     world.host.pace(Pace(0.5))
     # The emulator may be in mid-motion.
     for stop in (Pace(hold=True), Pace(end=True)):
         with pytest.raises(HardwareError, match="not open yet"):
             world.host.pace(stop)
     # A hold ends where the emulator knows of it.
-    world.host._link.send, world.host._link.problem = send, ""
+    world.opened()
     world.host.pace(Pace(0.5, hold=True))
-    world.host._link.send, world.host._link.problem = (lambda *frame, **how: False), "CAN can0: gone"
+    world.opened("CAN can0: gone")
     with pytest.raises(HardwareError, match="gone"):
         world.host.pace(Pace(0.5))
-    world.host._link.send, world.host._link.problem = send, ""
+    world.opened()
     world.host.pace(Pace(0.5))
     for begin, distance in ((0.0, 0.02), (0.0, 0.01)):
         world.run(0.2)
@@ -590,11 +588,11 @@ def test_a_pace_that_is_asked_for_before_the_bus_is_open_is_that_of_the_first_mo
         board = world.board.machine.motion
         assert board.pace == world.host.motion.pace == Pace(0.5) and not board.over
         # A running motion cannot be slowed down or held by what is not sent.
-        world.host._link.send, world.host._link.problem = (lambda *frame, **how: False), "CAN can0: gone"
+        world.opened("CAN can0: gone")
         for pace in (Pace(hold=True), Pace(0.1)):
             with pytest.raises(HardwareError, match="gone"):
                 world.host.pace(pace)
-        world.host._link.send, world.host._link.problem = send, ""
+        world.opened()
         world.run(2.0)
         assert board.position(world.now) == world.host.motion.position(world.now) == begin + distance
         # The emulator is started again meanwhile, with its stage elsewhere than the driver left it.
