@@ -77,14 +77,9 @@ class HubBus(can.BusABC):
 
         Raises can.CanOperationError if the buffer is full for ``timeout`` s (None: at once), or the hub is gone.
         """
-        frame = frame_of(msg)[1:]
-        try:
-            self.send_frame(*frame)
-        except can.CanOperationError as error:
-            full = isinstance(error.__cause__, BlockingIOError)
-            if not (full and timeout and select.select([], [self._socket], [], timeout)[1]):
-                raise
-            self.send_frame(*frame)
+        if timeout:
+            select.select([], [self._socket], [], timeout)
+        self.send_frame(*frame_of(msg)[1:])
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         frame = self.recv_frame(timeout)
