@@ -4,7 +4,6 @@ What a check reads (files, limits, clocks) are its arguments, so that tests can 
 """
 
 import gzip
-import importlib
 import json
 import math
 import os
@@ -22,8 +21,6 @@ from straightcomp_ros.bags.topics import ROS_DISTRO
 from straightcomp_ros.cell.launcher import program
 from straightcomp_ros.doctor import Finding, State, judged
 from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description, missing_profile
-from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.timing.cpus import left_behind
 from straightcomp_ros.timing.realtime import realtime_limit
 
@@ -61,17 +58,6 @@ _LOOK_S, _BUSY, _STOLEN = 0.5, 0.5, 0.02
 _IDLE, _STEAL = [3, 4], 7
 """Columns of /proc/stat: idle and waiting for the disk; taken by the hypervisor."""
 _ARPHRD_CAN = "280"
-_OUR_INTERFACE = "straightcomp_hub"
-
-
-def package_files() -> Finding:
-    """Whether the parameter file and the synthetic survey are found."""
-    try:
-        folder = share_path("config/straightcomp.yaml").parent
-        share_path("config/survey_synthetic.csv")
-    except FileNotFoundError as error:
-        return Finding("package files", "fail", str(error), "Install the package again: make setup, or colcon build.")
-    return Finding("package files", "ok", str(folder))
 
 
 def ros(command: Sequence[str] = program(_ASK_ROS), timeout: float = 60.0) -> list[Finding]:
@@ -182,38 +168,26 @@ def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:
     return judged("CPU wake-up", can, f"{file} {'can' if can else 'cannot'} be written", remedy)
 
 
-def kernel(file: Path = Path("/sys/kernel/realtime"), version: str | None = None) -> Finding:
-    """Whether this is a PREEMPT_RT kernel; ``version`` None is the running one's. Only kernels with the former patch
-    have the file."""
-    real_time = _read(file) == "1" or "PREEMPT_RT" in (version or os.uname().version)
-    remedy = "Install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64) on a machine that is to run for hours."
-    return judged("kernel", real_time, f"{os.uname().release}, {'' if real_time else 'no '}PREEMPT_RT", remedy)
+def kernel(folder: Path = Path("/"), release: str | None = None, version: str | None = None) -> Finding:
+    """Whether a real-time thread may interrupt the kernel's own work for other programs: under PREEMPT_RT always, else
+    by the model of preemption that the kernel was built or booted with.
 
-
-def preemption(
-    folder: Path = Path("/"), release: str | None = None, command_line: Path = Path("/proc/cmdline")
-) -> Finding:
-    """Whether a real-time thread may interrupt the kernel's own work for other programs.
-
-    ``folder`` holds proc/config.gz or boot/config-RELEASE; ``release`` None is the running kernel's.
+    ``folder`` holds proc/cmdline, proc/config.gz or boot/config-RELEASE, and sys/kernel/realtime, which only kernels
+    with the former patch have; ``release`` and ``version`` None are the running kernel's.
     """
-    name = "kernel preemption"
-    compressed, plain = folder / "proc/config.gz", folder / f"boot/config-{release or os.uname().release}"
+    release = release or os.uname().release
+    if _read(folder / "sys/kernel/realtime") == "1" or "PREEMPT_RT" in (version or os.uname().version):
+        return Finding("kernel", "ok", f"{release}, PREEMPT_RT")
+    compressed, plain = folder / "proc/config.gz", folder / f"boot/config-{release}"
     text = gzip.decompress(compressed.read_bytes()).decode() if compressed.is_file() else _read(plain)
-    if not text:
-        return Finding(name, "warn", "this kernel does not show its configuration", "Boot with preempt=full.")
     options = set(re.findall(r"^CONFIG_PREEMPT_?(\w*)=y$", text, re.MULTILINE))
-    if "RT" in options:
-        return Finding(name, "ok", "PREEMPT_RT")
-    model = next((each.lower() for each in ("LAZY", "VOLUNTARY", "NONE") if each in options), "full")
-    if "DYNAMIC" in options:
-        chosen = re.findall(r"\bpreempt=(\w+)", _read(command_line))
-        model = chosen[-1] if chosen else model
-    if model == "full":
-        return Finding(name, "ok", model)
-    detail = f"{model}: a program that writes to the disk can keep the loop from its CPU for tens of ms"
-    remedy = "Boot with preempt=full." if "DYNAMIC" in options else "Install a kernel with full preemption."
-    return Finding(name, "warn", detail, remedy)
+    built = [each.lower() for each in ("NONE", "VOLUNTARY", "LAZY") if each in options]
+    booted = re.findall(r"\bpreempt=(\w+)", _read(folder / "proc/cmdline")) if "DYNAMIC" in options else []
+    model = ["full" if text else "unknown", *built, *booted][-1]
+    remedy = "On a machine that is to run for hours install a PREEMPT_RT kernel (Debian: linux-image-rt-amd64)."
+    if model != "full":
+        remedy = f"Boot with preempt=full: a program that writes to the disk may hold up the loop. {remedy}"
+    return Finding("kernel", "warn", f"{release}, no PREEMPT_RT, preemption {model}", remedy)
 
 
 def cores(count: int | None = None, lost: Collection[int] | None = None) -> Finding:
@@ -270,26 +244,14 @@ def load(folder: Path = Path("/proc"), wait: Callable[[float], None] = time.slee
     return judged("load", waiting <= _BUSY * usable and steal <= _STOLEN, detail, remedy)
 
 
-def timer(
-    sleep: Callable[[float], None] = time.sleep,
-    clock_now: Callable[[], float] = time.perf_counter,
-    stage: StageParameters | None = None,
-) -> Finding:
-    """How late a thread of normal priority wakes up now; with a ``stage``, whether its loop could command within the
-    described delay."""
+def timer(sleep: Callable[[float], None] = time.sleep, clock_now: Callable[[], float] = time.perf_counter) -> Finding:
+    """How late a thread of normal priority wakes up now."""
     late = []
     for _ in range(_SLEEPS):
         start = clock_now()
         sleep(_SLEEP_S)
         late.append(clock_now() - start - _SLEEP_S)
     p99, worst = float(np.percentile(late, 99.0)), max(late)
-    if stage is not None:
-        longest = stage.delay * max(1.0, stage.uncertainty.longest_delay)
-        detail = (
-            f"wake-ups late by {p99 * 1e6:.0f} µs (p99); commands may act up to {longest * 1e6:.0f} µs after samples"
-        )
-        remedy = "Set realtime.priority, or describe the delay that a run's verdict reports (stage.drive.delay)."
-        return judged("command delay", p99 <= longest, detail, remedy)
     detail = f"late by {p99 * 1e6:.0f} µs (p99), {worst * 1e6:.0f} µs at most, of {_SLEEPS}"
     return judged(
         "timer", p99 <= _LATE_S, detail, "End other programs, or set realtime.priority as docs/realtime.md says."
@@ -311,19 +273,6 @@ def can_interfaces(folder: Path = Path("/sys/class/net")) -> Finding:
     return judged("CAN interfaces", not down, ", ".join(f"{name} {state}" for name, state in states.items()), remedy)
 
 
-def python_can() -> Finding:
-    """The interfaces of python-can, ours among them."""
-    try:
-        known = importlib.import_module("can.interfaces").BACKENDS
-    except ImportError as error:
-        remedy = "Install what this package needs: make setup, or rosdep install."
-        return Finding("python-can", "fail", str(error), remedy)
-    ours = _OUR_INTERFACE in known
-    detail = f"{len(known)} interfaces, {_OUR_INTERFACE} {'among them' if ours else 'not among them'}"
-    remedy = "Install this package, so that its entry points are registered: make setup, or colcon build."
-    return judged("python-can", ours, detail, remedy)
-
-
 def disk(folder: Path) -> Finding:
     """Free space where bags would be written."""
     if not os.access(folder, os.W_OK):
@@ -341,7 +290,6 @@ def _read(file: Path) -> str:
 
 
 CHECKS: Mapping[str, Callable[[], Finding | list[Finding]]] = {
-    "package files": package_files,
     "rclpy": ros,
     "distribution": distribution,
     "discovery": discovery,
@@ -350,14 +298,12 @@ CHECKS: Mapping[str, Callable[[], Finding | list[Finding]]] = {
     "real-time throttling": throttling,
     "CPU wake-up": wake_up_latency,
     "kernel": kernel,
-    "kernel preemption": preemption,
     "cores": cores,
     "frequency governor": governor,
     "clock": clock,
     "load": load,
     "timer": timer,
     "CAN interfaces": can_interfaces,
-    "python-can": python_can,
     "disk": lambda: disk(Path.cwd()),
 }
 

@@ -9,9 +9,6 @@ from types import SimpleNamespace
 import pytest
 
 from straightcomp_ros.doctor import Finding, computer
-from straightcomp_ros.model.converters import DriveParameters
-from straightcomp_ros.parameters.share import share_path
-from straightcomp_ros.stage.description import StageParameters
 
 MIB = 1 << 20
 FILE, FOLDER = "file", "."
@@ -20,6 +17,10 @@ MIXED = {**FAST, "cpu1__cpufreq__scaling_governor": "powersave\n"}
 DOWN = {"can0__type": "280\n", "can0__operstate": "down\n"}
 IDLE = {"stat": "cpu 1 2 3 4 5 6 7 8 0 0\ncpu0 1\n", "loadavg": "0.90 0.50 0.20 1/300 4711\n"}
 UNLIMITED = {"sched_rt_runtime_us": "-1\n", "sched_rt_period_us": "1000000\n"}
+BUILT_NONE = {"proc__config.gz": gzip.compress(b"CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n")}
+BUILT_FULL = {"boot__config-7.0": "CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n"}
+STATIC = {"boot__config-7.0": "CONFIG_PREEMPT_VOLUNTARY=y\n# CONFIG_PREEMPT_NONE is not set\n"}
+FULL, VOLUNTARY = ({"proc__cmdline": f"preempt=none preempt={chosen} quiet"} for chosen in ("full", "voluntary"))
 DYNAMIC = "#1 SMP PREEMPT_DYNAMIC Debian 6.12.57-1"
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
@@ -38,12 +39,6 @@ def test_this_machine_is_examined_to_the_end_and_the_exit_code_follows(verb):
 
 def refused():
     raise PermissionError(1, "Operation not permitted")
-
-
-def test_what_the_frames_of_a_stages_board_leave_open_is_reported_too(monkeypatch, verb):
-    monkeypatch.setattr("straightcomp_ros.cli.doctor.examine", lambda: iter(()))
-    found = verb("doctor", "--json", "--stage", share_path("config/board_motorola.yaml")).json
-    assert any(check["detail"].startswith("no signal for 'heartbeat'") for check in found["checks"])
 
 
 @pytest.mark.parametrize(("states", "code"), [(["ok", "warn"], 0), (["fail", "ok"], 1)])
@@ -134,8 +129,14 @@ def test_a_host_that_gives_the_cpus_to_others_is_found(tmp_path, stolen, state):
     assert computer.load(tmp_path, lambda seconds: write(1000, 5 + stolen), 4).state == state
 
 
+def timer(late):
+    """What is found of a timer that is so many seconds late."""
+    sleeps = []
+    return computer.timer(sleeps.append, lambda: sum(sleeps) + late * len(sleeps))
+
+
 def given(check, *arguments, **files):
-    """A check with its arguments; ``FILE`` and ``FOLDER`` become paths among ``files`` (text by name, / written __)."""
+    """A check with its arguments; ``FILE`` and ``FOLDER`` become paths among ``files`` (by name, / written __)."""
     texts = {name.replace("__", "/"): text for name, text in files.items()}
     return texts, lambda at: check(*(at / one if one in (FILE, FOLDER) else one for one in arguments))
 
@@ -166,9 +167,15 @@ def given(check, *arguments, **files):
         (given(computer.throttling, FOLDER, "6.12.57", **UNLIMITED), "ok", "950000"),
         (given(computer.throttling, FOLDER, "6.11.0", **UNLIMITED | {"sched_rt_runtime_us": "700000"}), "ok", "700000"),
         (given(computer.throttling, FOLDER), "ok", "unknown"),
-        (given(computer.kernel, FILE, DYNAMIC, file="1\n"), "ok", "PREEMPT_RT"),
-        (given(computer.kernel, FILE, "#1 SMP PREEMPT_RT Debian 6.12.57-1"), "ok", "PREEMPT_RT"),
-        (given(computer.kernel, FILE, DYNAMIC), "warn", "no PREEMPT_RT"),
+        (given(computer.kernel, FOLDER, "7.0", DYNAMIC, sys__kernel__realtime="1\n"), "ok", "PREEMPT_RT"),
+        (given(computer.kernel, FOLDER, "7.0", "#1 SMP PREEMPT_RT Debian 6.12.57-1"), "ok", "PREEMPT_RT"),
+        (given(computer.kernel, FOLDER, "6.0", DYNAMIC, **BUILT_FULL), "warn", "preemption unknown Boot with"),
+        (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **BUILT_FULL), "warn", "preemption full On a machine"),
+        (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **BUILT_NONE), "warn", "preemption none Boot with"),
+        (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **BUILT_FULL, **VOLUNTARY), "warn", "preemption voluntary"),
+        (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **BUILT_NONE, **FULL), "warn", "preemption full"),
+        # What only a dynamic kernel listens to.
+        (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **STATIC, **FULL), "warn", "preemption voluntary"),
         (given(computer.wake_up_latency, FILE), "warn", "is not there"),
         (given(computer.wake_up_latency, FILE, file=""), "ok", "can be written"),
         (given(computer.cores, 2, ()), "warn", "4 or more"),
@@ -179,6 +186,8 @@ def given(check, *arguments, **files):
         (given(computer.clock, FILE, 1.8e9, file="tsc\n"), "ok", "tsc"),
         (given(computer.clock, FILE, 1.8e9, file="hpet\n"), "warn", "clocksource=tsc"),
         (given(computer.clock, FILE, 0.0, file="tsc\n"), "fail", "year 1970"),
+        (given(timer, 50e-6), "ok", "late by 50 µs"),
+        (given(timer, 5e-3), "warn", "late by 5000 µs"),
         (given(computer.can_interfaces, FOLDER, eth0__type="1\n"), "warn", "none in the kernel"),
         (given(computer.can_interfaces, FOLDER, can0__type="280\n", can0__operstate="up\n"), "ok", "can0 up"),
         (given(computer.can_interfaces, FOLDER, **DOWN), "warn", "ip link set can0 up"),
@@ -188,64 +197,9 @@ def test_a_check_judges_a_made_computer(tmp_path, made, state, words):
     files, check = made
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
+        (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     found = check(tmp_path)
     assert found.state == state and words in f"{found.detail} {found.remedy}"
-
-
-@pytest.mark.parametrize(
-    ("configuration", "command_line", "state", "detail"),
-    [
-        ("CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "quiet", "warn", "none: "),
-        ("CONFIG_PREEMPT_NONE=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "preempt=none preempt=full quiet", "ok", "full"),
-        ("CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "preempt=voluntary", "warn", "voluntary: "),
-        ("CONFIG_PREEMPT=y\nCONFIG_PREEMPT_DYNAMIC=y\n", "", "ok", "full"),
-        ("CONFIG_PREEMPT_VOLUNTARY=y\n", "preempt=full", "warn", "voluntary: "),
-        ("CONFIG_PREEMPT_RT=y\n# CONFIG_PREEMPT_NONE is not set\n", "", "ok", "PREEMPT_RT"),
-    ],
-)
-def test_a_kernel_that_finishes_its_own_work_first_is_reported(tmp_path, configuration, command_line, state, detail):
-    booted, plain, compressed = (tmp_path / name for name in ("cmdline", "boot/config-7.0", "proc/config.gz"))
-    booted.write_text(command_line)
-    plain.parent.mkdir()
-    plain.write_text(configuration)
-    assert computer.preemption(tmp_path, "6.0", booted).detail == "this kernel does not show its configuration"
-    found = computer.preemption(tmp_path, "7.0", booted)
-    assert found.state == state and found.detail.startswith(detail)
-    plain.unlink()
-    compressed.parent.mkdir()
-    compressed.write_bytes(gzip.compress(configuration.encode()))
-    assert computer.preemption(tmp_path, "7.0", booted) == found
-
-
-def timer(late, *stage):
-    """What is found of a timer that is so many seconds late."""
-    sleeps = []
-    return computer.timer(sleeps.append, lambda: sum(sleeps) + late * len(sleeps), *stage)
-
-
-@pytest.mark.parametrize(
-    ("late", "delays", "state", "words"),
-    [
-        (50e-6, (), "ok", "late by 50 µs"),
-        (5e-3, (), "warn", "late by 5000 µs"),
-        (100e-6, (1.0,), "ok", "up to 750 µs"),
-        (100e-6, (0.1,), "warn", "up to 75 µs"),
-    ],
-)
-def test_a_timer_that_is_late_by_itself_or_for_the_described_delay_of_commands_is_a_warning(late, delays, state, words):
-    found = timer(late, *(StageParameters(drive=DriveParameters(delay=delay)) for delay in delays))
-    assert (found.name, found.state) == ("command delay" if delays else "timer", state) and words in found.detail
-
-
-def test_python_can_without_our_interface_is_a_warning(monkeypatch):
-    import can.interfaces
-
-    assert computer.python_can().state == "ok"
-    monkeypatch.setattr(can.interfaces, "BACKENDS", {})
-    assert computer.python_can().state == "warn"
-    monkeypatch.setitem(sys.modules, "can.interfaces", None)
-    assert computer.python_can().state == "fail"
 
 
 @pytest.mark.parametrize(("size", "state"), [(1 << 36, "ok"), (1 << 32, "warn"), (1 << 20, "fail")])

@@ -147,7 +147,7 @@ MISSING = f"""
 simulate --stage none | replay none | stage check none | stage show none | stage new folder --survey none |
 design none | robustness --stage none | evaluate noise.mcap | evaluate {SMC} --compare none | recover none |
 evaluate {SMC} --limits none | map build none | map build folder | friction none | frequency-response --stage none |
-doctor --stage none | history add none | history report none | history advise none | demo --stage none |
+history add none | history report none | history advise none | demo --stage none |
 incident none | incident open none | map reverse none none -o x | map align none none | bench step --stage none |
 map build wrong_unit.csv | map reverse wrong_unit.csv none -o x | map align wrong_unit.csv none |
 commission stage.yaml -o x --check-survey none | dsp --stage none | map align {SURVEY_CSV} none |
