@@ -20,13 +20,13 @@ from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.node_diagnostics import Diagnostics
 from straightcomp_ros.runtime.ros_parameters import declare
 from straightcomp_ros.runtime.runner import EXIT_FAILURE, Runnable, run
-from straightcomp_ros.stage.due_maintenance import WatchedAdvice
+from straightcomp_ros.stage.due_maintenance import due_maintenance
 
 if TYPE_CHECKING:
     # It needs asyncua, an optional dependency.
     from straightcomp_ros.opcua.gateway_server import GatewayServer, Request
 
-_TICK_S = 0.02
+_TICK_S, _ADVICE_S = 0.02, 1.0
 
 
 class OpcuaNode(Runnable):
@@ -41,15 +41,19 @@ class OpcuaNode(Runnable):
         count = parameters.stage.encoder.x_resolution
         self._sequence = CellSequence(self._graph, parameters.stage.motion, parameters.start_timeout, count=count)
         self._alarms = Alarms(parameters.error_limit)
-        self._advice = WatchedAdvice(parameters.maintenance_file)
+        self._due = ""
         self._commands = 0
         self._answers: list[tuple[Request, str]] = []
         self._logged = ""
         self._server = _server(parameters, names)
         Diagnostics(node, lambda: {"samples": self._commands, "state": self._sequence.state.name.lower()})
         node.create_timer(_TICK_S, self._tick)
+        node.create_timer(_ADVICE_S, self._read_advice)
         security = "encrypted" if parameters.opcua.encrypted else "not encrypted"
         node.get_logger().info(f"OPC UA at {parameters.opcua.endpoint}, {security}")
+
+    def _read_advice(self) -> None:
+        self._due = due_maintenance(self._parameters.maintenance_file)
 
     def _tick(self) -> None:
         if self.done.done():
@@ -66,7 +70,7 @@ class OpcuaNode(Runnable):
         if state != self._logged:
             self._logged = state
             self.node.get_logger().info(state)
-        alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._advice.due())
+        alarms = self._alarms.active(seen, sequence.state, time.monotonic(), self._due)
         moves = sequence.movements
         strokes = moves.strokes, moves.strokes_done
         shown = Snapshot(sequence.state, sequence.message, *strokes, sequence.centred, seen, alarms, self._limits())

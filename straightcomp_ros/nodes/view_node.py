@@ -15,7 +15,7 @@ from straightcomp_ros.runtime.graph_client import GraphClient, RemoteParameters
 from straightcomp_ros.runtime.guarded_node import GuardedNode
 from straightcomp_ros.runtime.runner import Runnable
 from straightcomp_ros.safety.faults import explained
-from straightcomp_ros.stage.due_maintenance import WatchedAdvice
+from straightcomp_ros.stage.due_maintenance import due_maintenance
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
 from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer, distribution
@@ -60,7 +60,7 @@ class ViewNode(Runnable):
         limit: dict[str, object] | None,
     ) -> None:
         self._limit = limit
-        self._advice = WatchedAdvice(maintenance)
+        self._maintenance, self._due = maintenance, ""
         self.node, self.done, self.realtime = node, Future(), realtime
         self._graph = GraphClient(node, RECORDED, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
         self._board = Board({name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()})
@@ -92,6 +92,7 @@ class ViewNode(Runnable):
         self._latencies.extend(n[place] for _, n, _ in fetched[DRIVER_STATE] if math.isfinite(n[place]))
         if self._fetches % _SUMMARY_EVERY == 0:
             self._distribution = distribution(self._latencies)
+            self._due = due_maintenance(self._maintenance)
         self._fetches += 1
         while self._wanted:
             self._wanted.pop(0)()
@@ -135,7 +136,7 @@ class ViewNode(Runnable):
                 "x_mm": seen.x * 1e3,
                 "stroke_error_pp_um": seen.stroke_error_pp * 1e6,
                 "faults": [{"node": node, **explained(text)} for node, text in seen.faults.items()],
-                "maintenance": self._advice.due(),
+                "maintenance": self._due,
                 "nodes": nodes,
             }
         )
