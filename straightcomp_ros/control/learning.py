@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError, parameter
 from straightcomp_ros.parameters.output_files import check_writable, write_whole
-from straightcomp_ros.parameters.yaml_text import bounded_lines, number_or_nan
+from straightcomp_ros.parameters.yaml_text import bounded_lines, number_rows
 from straightcomp_ros.straightness.feedforward import restarted, updated
 
 Array = NDArray[np.float64]
@@ -57,11 +57,13 @@ COEFFICIENT, BEST, BEST_SQUARE, BARE_SQUARE, SPEED = range(5)
 _UNKNOWN = np.array([[0.0], [0.0], [math.nan], [math.nan], [0.0]])
 """A node that was not visited."""
 
-_QUANTITIES = ("correction_m", "speed_m_per_s", "rms_m", "bare_rms_m")
-_HEADER = ("x_m", *(f"{direction}_{quantity}" for direction in ("forward", "backward") for quantity in _QUANTITIES))
+_QUANTITIES = {"correction_m": 1e-3, "speed_m_per_s": 100.0, "rms_m": 1e-3, "bare_rms_m": 1e-3}
+_COLUMNS = {"x_m": 100.0}
+_COLUMNS |= {f"{way}_{name}": most for way in ("forward", "backward") for name, most in _QUANTITIES.items()}
+"""Of a file, and the largest magnitude of each: a larger one is in the wrong unit."""
+_MEASURED = [name for name in _COLUMNS if name.endswith("rms_m")]
+"""Columns that are empty where nothing was measured."""
 _LAW = "# law:"
-_LARGEST = 1e-3
-"""m; a larger value is in the wrong unit."""
 
 
 class LearnedTable:
@@ -254,7 +256,7 @@ def write_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> N
         "# Correction of the reference learned by straightcomp, as coefficients of a uniform cubic B-spline over x.",
         "# rms: of r - y in the best pass; bare_rms: without a correction; empty where nothing was learned.",
         f"{_LAW} {law}",
-        ",".join(_HEADER),
+        ",".join(_COLUMNS),
     ]
     for node, row in zip(range(first, last), np.column_stack(columns).tolist(), strict=True):
         cells = ("" if math.isnan(value) else f"{value:.6g}" for value in row)
@@ -266,53 +268,29 @@ def read_tables(path: Path, law: str, tables: Mapping[bool, LearnedTable]) -> No
     """Read what :func:`write_tables` wrote into ``tables``, for the law named ``law``.
 
     ParameterError if it cannot be read, was learned with another law or spacing, or is damaged; the message names file,
-    line, value and what is allowed.
+    value and what is allowed.
     """
     file = f"learning file {path}"
     lines = bounded_lines(path, file)
     learned_with = next((line[len(_LAW) :].strip() for line in lines if line.startswith(_LAW)), None)
     if learned_with != law:
-        said = "names no law" if learned_with is None else f"was learned with law '{learned_with}'"
-        raise ParameterError(f"{file}: {said}; allowed: '{_LAW} {law}', the law that runs")
-    rows = [
-        (f"{file}, line {number}", line.split(","))
-        for number, line in enumerate(lines, 1)
-        if line.strip() and not line.startswith("#")
-    ]
-    header = rows.pop(0)[1] if rows else []
-    if tuple(header) != _HEADER:
-        raise ParameterError(f"{file}: header {','.join(header)!r}; allowed: {','.join(_HEADER)!r}")
-    if not rows:
+        raise ParameterError(f"{file}: learned with law {learned_with!r}; allowed: '{_LAW} {law}', the law that runs")
+    numbers = number_rows(lines, file, _COLUMNS, blank=_MEASURED)
+    if not len(numbers):
         raise ParameterError(f"{file}: has a header but no rows; allowed: at least one")
-    numbers = np.array([_numbers(*row) for row in rows])
     x, spacing = numbers[:, 0], tables[True].spacing
     first = round(float(x[0]) / spacing)
-    wrong = np.flatnonzero(np.abs(x - (first + np.arange(x.size)) * spacing) > 1e-3 * spacing)
-    if wrong.size:
-        at = int(wrong[0])
+    expected = (first + np.arange(x.size)) * spacing
+    wrong = np.abs(x - expected) > 1e-3 * spacing
+    if wrong.any():
+        at = int(wrong.argmax())
         raise ParameterError(
-            f"{rows[at][0]}: x_m {float(x[at]):.9g}; allowed: {(first + at) * spacing:.9g}, "
+            f"{file}: x_m {float(x[at]):.9g}; allowed: {float(expected[at]):.9g}, "
             f"nodes {spacing:g} m apart without a gap (learning.spacing)"
         )
     for forward, columns in ((True, numbers[:, 1:5]), (False, numbers[:, 5:9])):
         correction, speed, rms, bare_rms = columns.T
         tables[forward].restore(first, correction, rms * rms, bare_rms * bare_rms, speed)
-
-
-def _numbers(where: str, cells: Sequence[str]) -> list[float]:
-    """The cells of a row in SI units, NaN for an RMS that was not measured."""
-    if len(cells) != len(_HEADER):
-        raise ParameterError(f"{where}: {len(cells)} cells; allowed: {len(_HEADER)}, as the header has")
-    numbers = []
-    for name, cell in zip(_HEADER, cells, strict=True):
-        value = number_or_nan(cell)
-        largest = math.inf if name == "x_m" or "speed" in name else _LARGEST
-        unknown = name.endswith("rms_m") and not cell
-        if not (unknown or (math.isfinite(value) and abs(value) <= largest)):
-            words = "a finite number" if largest == math.inf else f"a number within ± {largest:g} m"
-            raise ParameterError(f"{where}: {name} {cell!r}; allowed: {words}")
-        numbers.append(value)
-    return numbers
 
 
 Reference = Sequence[float]

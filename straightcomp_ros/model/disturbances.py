@@ -24,7 +24,7 @@ from straightcomp_ros.model.compiled import compilable
 from straightcomp_ros.model.friction import band_value
 from straightcomp_ros.parameters.declaration import ParameterError, group, parameter
 from straightcomp_ros.parameters.share import named_file
-from straightcomp_ros.parameters.yaml_text import bounded_lines, number_or_nan
+from straightcomp_ros.parameters.yaml_text import bounded_lines, number_rows
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,8 @@ GRAVITY = 9.80665
 """m/s²."""
 _TURNING = 1e-3
 """m/s, over which the cable's drag turns round with the travel."""
-_HEADER = "x_m,force_n"
+_COLUMNS = {"x_m": 100.0, "force_n": 1000.0}
+"""Of a table of force, and the largest magnitude of each."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class DisturbanceParameters:
     seed: int = parameter(0, "Seed of what is random", "[0, 1000000]")
     mains: MainsParameters = group(MainsParameters, "Simulated mains hum")
     cogging: CoggingParameters = group(CoggingParameters, "Simulated cogging")
-    force_file: str = parameter("", f"CSV file of a force over x, with the columns {_HEADER}; empty: none")
+    force_file: str = parameter("", f"CSV file of a force over x, with the columns {','.join(_COLUMNS)}; empty: none")
     cable: CableParameters = group(CableParameters, "Simulated cables")
     tilt: float = parameter(0.0, "Angle by which y is tilted against the horizontal: gravity pulls", "[-1.6, 1.6] rad")
     drift: DriftParameters = group(DriftParameters, "Simulated offset of the amplifier")
@@ -135,22 +136,11 @@ class Disturbances:
 
 def read_force_table(path: Path) -> Table:
     """Rising x in m and the force in N of a CSV file; ParameterError, which names file and line, if it is refused."""
-    read = bounded_lines(path, f"parameter 'force_file': {path}")
-    lines = [line for line in read if line.strip() and not line.startswith("#")]
-    if not lines or lines[0].replace(" ", "") != _HEADER or len(lines) < 3:
-        raise ParameterError(f"{path}: allowed: the header {_HEADER} and at least two rows")
-    x: list[float] = []
-    force: list[float] = []
-    for number, line in enumerate(lines[1:], 1):
-        numbers = [number_or_nan(cell) for cell in line.split(",")]
-        place, push = numbers if len(numbers) == 2 else (math.nan, math.nan)
-        if not (math.isfinite(place) and abs(push) <= 1000.0) or (x and place <= x[-1]):
-            raise ParameterError(
-                f"{path}, row {number}: {line!r}; allowed: x_m that rises, and a force within ± 1000 N"
-            )
-        x.append(place)
-        force.append(push)
-    return tuple(x), tuple(force)
+    where = f"parameter 'force_file': {path}"
+    x, force = number_rows(bounded_lines(path, where), where, _COLUMNS).T
+    if x.size < 2 or not (np.diff(x) > 0.0).all():
+        raise ParameterError(f"{where}: {x.size} rows; allowed: at least two, with x_m that rises")
+    return tuple(x.tolist()), tuple(force.tolist())
 
 
 DISTURBANCES = 57

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from straightcomp_ros.contract import STROKE
 from straightcomp_ros.parameters.declaration import ParameterError, RefusedParameter, parameter
 from straightcomp_ros.parameters.share import named_file
-from straightcomp_ros.parameters.yaml_text import bounded_lines, number_or_nan
+from straightcomp_ros.parameters.yaml_text import bounded_lines, number_rows
 
 T = TypeVar("T", float, NDArray[np.float64])
 _NS = 1e9
 _SHORTEST_NS = 10_000
 """Of a phase: of a shorter one, times rounded to 1 ns say little of the acceleration."""
-_FARTHEST = 100.0
-"""Largest position in m, as of the parameter `start`."""
+_POSITIONS = {"position in m": 100.0}
+"""Of a file; as far as the parameter `start`."""
 _MOST_POSITIONS = 1000
 """Of a file: as many as of equal steps."""
 _LEAST_JERK = 1e-6
@@ -147,12 +147,7 @@ def goals(motion: MotionParameters) -> list[float]:
     if not motion.file:
         return [*(motion.start + motion.stroke * k / motion.steps for k in range(1, motion.steps + 1)), motion.start]
     where = f"parameter 'stage.motion.file': {motion.file}"
-    found = []
-    for number, line in enumerate(bounded_lines(named_file(motion.file), where), 1):
-        if text := line.partition("#")[0].strip():
-            found.append(number_or_nan(text))
-            if not abs(found[-1]) <= _FARTHEST:
-                raise ParameterError(f"{where}, line {number}: {text[:80]!r}; allowed: a position, ±{_FARTHEST:g} m")
+    found = number_rows(bounded_lines(named_file(motion.file), where), where, _POSITIONS, header=False)[:, 0].tolist()
     if not 0 < len(found) <= _MOST_POSITIONS:
         raise ParameterError(f"{where}: {len(found)} positions; allowed: 1 to {_MOST_POSITIONS}")
     return [*found, motion.start]

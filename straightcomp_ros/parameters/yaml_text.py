@@ -10,12 +10,14 @@ import codecs
 import errno
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from straightcomp_ros.parameters.declaration import ParameterError, flatten
 
@@ -116,6 +118,30 @@ def bounded_lines(path: Path, where: str) -> list[str]:
         return bounded_bytes(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ParameterError(f"{where}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
+def number_rows(
+    lines: Iterable[str], where: str, largest: Mapping[str, float], *, header: bool = True, blank: Collection[str] = ()
+) -> NDArray[np.float64]:
+    """Numbers (rows, columns) of lines with commas between them, without empty lines and what is behind a ``#``.
+
+    ``largest`` has the magnitude that each column may have; an empty cell of one that may be ``blank`` is NaN.
+    ParameterError, which begins with ``where``: the ``header`` with the columns' names is missing, or a row is not so.
+    """
+    texts = [(number, text) for number, line in enumerate(lines, 1) if (text := line.partition("#")[0].strip())]
+    if header:
+        first = texts.pop(0)[1] if texts else ""
+        if [name.strip() for name in first.split(",")] != list(largest):
+            raise ParameterError(f"{where}: header {first[:200]!r}; allowed: {','.join(largest)!r}")
+    rows = []
+    for number, text in texts:
+        cells = [cell.strip() for cell in text.split(",")]
+        rows.append([number_or_nan(cell) for cell in cells])
+        for name, cell, value in zip_longest(largest, cells, rows[-1]):
+            if cell is None or not (abs(value) <= largest.get(name, -1.0) or (name in blank and not cell)):
+                allowed = ", ".join(f"{one} within ±{most:g}" for one, most in largest.items())
+                raise ParameterError(f"{where}, line {number}: {text[:200]!r}; allowed: {allowed}")
+    return np.array(rows, np.float64).reshape(-1, len(largest))
 
 
 def number_or_nan(value: Any) -> float:
