@@ -21,7 +21,7 @@ import numpy as np
 from numpy.random import Generator, default_rng
 
 from scripts.design_table import found_gains
-from scripts.stage_files import STAGES, stage_names
+from scripts.stage_files import stage_names, stage_values
 from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
@@ -30,7 +30,6 @@ from straightcomp_ros.cli.options import whole_number
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import with_values
-from straightcomp_ros.parameters.parameter_file import read_stage_file
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.survey import Run, Survey
@@ -108,7 +107,7 @@ def run(options: argparse.Namespace) -> None:
 def sound(random: Generator) -> Drawn:
     """A run of a stage as identified."""
     name = str(random.choice([name for name in stage_names() if name != "infeasible"]))
-    values = read_stage_file(STAGES / f"{name}.yaml")
+    values = stage_values(name)
     scenario = make_scenario(values, [_LAW])
     values["controller"] |= found_gains().get(name) or closed_form(scenario, _LAW)
     stage = scenario.description

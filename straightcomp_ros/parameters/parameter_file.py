@@ -3,7 +3,7 @@
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -36,9 +36,9 @@ class OtherNamespaceError(ParameterError):
     """A parameter file is for nodes of other namespaces only."""
 
 
-def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
-    """Values of a ROS 2 parameter file for nodes in ``namespace``, by node and dotted name, with a key for each node of
-    this package.
+def read_parameter_file(*paths: str | Path, namespace: str = "") -> dict[str, dict[str, Any]]:
+    """Values of a ROS 2 parameter file, or of several as rcl joins them, for nodes in ``namespace``, by node and dotted
+    name, with a key for each node of this package.
 
     As for rcl, a key of the file is a node's full name, with ``*`` for one level and ``**`` for any (``/**/driver``,
     ``driver``), or ``/**`` for all; other nodes' sections are left out, and of several with a parameter the last
@@ -46,35 +46,22 @@ def read_parameter_file(path: str | Path, namespace: str = "") -> dict[str, dict
     all nodes, has the key :data:`STAGE` here. Parameters that ROS itself declares on every node are left out.
 
     Raises:
-        ParameterError: the file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
-        OtherNamespaceError: it has sections for other namespaces only.
+        ParameterError: a file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
+        OtherNamespaceError: there are sections for other namespaces only.
     """
-    return read_parameter_files([path], namespace)
-
-
-def read_parameter_files(paths: Sequence[str | Path], namespace: str) -> dict[str, dict[str, Any]]:
-    """As :func:`read_parameter_file`, of several files as rcl joins them."""
-    return _values_of(paths[-1], [section for path in paths for section in _sections_of(path)], namespace)
-
-
-def _sections_of(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
-    try:
-        return node_sections(Path(path))
-    except OSError as error:
-        raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
-    except ParameterError as error:
-        raise ParameterError(f"parameter file {path}: {error}") from error
-
-
-def _values_of(
-    path: str | Path, sections: Iterable[tuple[str, dict[str, Any]]], namespace: str
-) -> dict[str, dict[str, Any]]:
-    source = f"parameter file {path}"
+    joined: dict[str, dict[str, Any]] = {}
+    for path in paths:
+        source = f"parameter file {path}"
+        try:
+            sections = node_sections(Path(path))
+        except OSError as error:
+            raise ParameterError(f"{source}: cannot be read: {error.strerror}") from error
+        except ParameterError as error:
+            raise ParameterError(f"{source}: {error}") from error
+        for key, given in sections:
+            joined.setdefault(key, {}).update(given)
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
     before = "".join(f"/{level}" for level in namespace.split("/") if level)
-    joined: dict[str, dict[str, Any]] = {}
-    for key, given in sections:
-        joined.setdefault(key, {}).update(given)
     foreign = []
     for key, every in joined.items():
         name = key.rsplit("/", 1)[-1]
@@ -100,14 +87,6 @@ def _values_of(
         raise OtherNamespaceError(
             f"{source}: is for other nodes than those in {place}: {', '.join(foreign)}; allowed: {ALL_NODES}/NODE"
         )
-    return values
-
-
-def read_stage_file(path: str | Path) -> dict[str, dict[str, Any]]:
-    """As :func:`read_parameter_file`; a file of a relative name in it is looked for in its folder first."""
-    values = read_parameter_file(path)
-    for node, found in files_beside(path, values, values).items():
-        values[node].update(found)
     return values
 
 
@@ -151,14 +130,12 @@ def shipped_parameters(
     A parameter file that is named describes the stage too, unless there is a ``stage`` file. ParameterError, too, for
     a fact of the stage file that rcl lets no node have.
     """
-    path = params_file or share_path(DEFAULT_FILE)
-    sections = _sections_of(path)
-    values = _values_of(path, sections, namespace)
+    file = params_file or share_path(DEFAULT_FILE)
+    values = read_parameter_file(file, namespace=namespace)
     if stage or not params_file:
         path = stage or share_path(DEFAULT_STAGE)
-        described = _sections_of(path)
-        own = _values_of(path, described, namespace)
-        values = _values_of(path, [*sections, *described], namespace)
+        own = read_parameter_file(path, namespace=namespace)
+        values = read_parameter_file(file, path, namespace=namespace)
         for node in NODE_PARAMETERS:
             for name in own[node].keys() - values[node].keys():
                 raise ParameterError(

@@ -29,7 +29,6 @@ from straightcomp_ros.parameters.parameter_file import (
     OtherNamespaceError,
     files_beside,
     read_parameter_file,
-    read_parameter_files,
 )
 from straightcomp_ros.parameters.share import PACKAGE
 from straightcomp_ros.parameters.yaml_text import PARAMETERS, dump_yaml
@@ -165,14 +164,14 @@ def _given(context: LaunchContext, node: str, overrides: Iterable[str]) -> dict[
     read: dict[str, dict[str, dict[str, Any]]] = {}
     for path in filter(None, (file, stage)):
         try:
-            read[path] = read_parameter_file(path, namespace)
+            read[path] = read_parameter_file(path, namespace=namespace)
         except OtherNamespaceError:
             raise  # The node would pass over such a file.
         except ParameterError:
             continue  # The node refuses it, and says why.
     if values := read.get(stage or file):
         # What the other file's sections leave of it: a node's section that joins one there loses against a later `/**`.
-        taken = read_parameter_files(list(read), namespace)
+        taken = read_parameter_file(*read, namespace=namespace)
         found = files_beside(stage or file, values, taken)
         described = {f"{STAGE}.{name}": full for name, full in found.get(STAGE, {}).items()}
         # A file of the node's own takes precedence, wherever it is.

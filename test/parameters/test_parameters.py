@@ -26,7 +26,6 @@ from straightcomp_ros.parameters.parameter_file import (
     DEFAULT_STAGE,
     as_parameter_file,
     read_parameter_file,
-    read_stage_file,
     shipped_parameters,
 )
 from straightcomp_ros.parameters.share import share_path
@@ -205,7 +204,7 @@ def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_
         assert node_parameters(node, read) == node_parameters(node, values)
     assert read["logger"] == {"output": "n"} and read["stage"] == {"name": "Y", "rate": 4000}
     path.write_text(yaml.safe_dump({"/stage_1/driver": {"ros__parameters": {"simulated": {"initial_y": 1e-6}}}}))
-    assert read_parameter_file(path, "stage_1")["driver"] == {"simulated.initial_y": 1e-6}
+    assert read_parameter_file(path, namespace="stage_1")["driver"] == {"simulated.initial_y": 1e-6}
 
 
 @pytest.mark.parametrize(
@@ -231,13 +230,13 @@ def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alon
     path.write_text(yaml.safe_dump(tree, sort_keys=False))
     for namespace, number in (("", alone), ("/stage_2/", in_stage_2)):
         if number:
-            assert node_parameters("driver", read_parameter_file(path, namespace)).stage.rate == 1000 * number
+            assert node_parameters("driver", read_parameter_file(path, namespace=namespace)).stage.rate == 1000 * number
             given = Namespace(params_file=str(path), stage=None, law=None, set=[], namespace=namespace)
             assert node_parameters("driver", chosen_parameters(given)).stage.rate == 1000 * number
         else:
             last = re.escape(keys[-1].replace(":", "/"))
             with pytest.raises(ParameterError, match=rf"p\.yaml: is for other nodes .*{last}; allowed: /\*\*/NODE"):
-                read_parameter_file(path, namespace)
+                read_parameter_file(path, namespace=namespace)
 
 
 @pytest.mark.parametrize(
@@ -304,7 +303,7 @@ def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tm
         "/**: {ros__parameters: {use_sim_time: true, stage.rate: 1000}}\n"
         "driver: {ros__parameters: {use_sim_time: true, qos_overrides: {/x: {depth: 1}}, can.dbc: ~/x.dbc}}\n"
     )
-    read = read_stage_file(path)
+    read = shipped_parameters(path, path)
     assert read["stage"] == {"rate": 1000} and read["driver"] == {"can.dbc": str(tmp_path / "home" / "x.dbc")}
 
 
@@ -325,6 +324,6 @@ def test_a_file_that_a_stage_file_names_is_that_in_its_folder_before_one_in_the_
     monkeypatch.chdir(tmp_path / "work")
     for file in (tmp_path / "named.csv", tmp_path / "work" / "named.csv"):
         file.write_text("0.2\n")
-    assert read_stage_file(path)[node][name] == str(tmp_path / "named.csv")
+    assert shipped_parameters(stage=path)[node][name] == str(tmp_path / "named.csv")
     (tmp_path / "named.csv").unlink()
-    assert read_stage_file(path)[node][name] == "named.csv"
+    assert shipped_parameters(stage=path)[node][name] == "named.csv"

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from straightcomp_ros.parameters.declaration import declarations, from_mapping
-from straightcomp_ros.parameters.parameter_file import read_stage_file
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
 SHORT = ["--set", "motion.speed=0.1", "--set", "motion.acceleration=0.5"]
@@ -43,7 +43,7 @@ def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, 
     folder, file = tmp_path / "gantry", survey(100, 700)
     given = ("--set", "platform.mass=8", "--set", "friction.bristle_stiffness=2e6")
     assert new(folder, "--survey", file, *given).code == 0
-    stage = from_mapping(StageParameters, read_stage_file(folder / "stage.yaml")["stage"])
+    stage = from_mapping(StageParameters, shipped_parameters(stage=folder / "stage.yaml")["stage"])
     assert (stage.name, stage.platform.mass, stage.friction.bristle_stiffness) == ("gantry", 8.0, 2e6)
     assert (stage.motion.start, stage.motion.stroke) == pytest.approx((0.1, 0.6))
     assert stage.guide.file == str(folder / "survey.csv")
@@ -56,14 +56,14 @@ def test_a_survey_that_is_given_as_a_fact_is_copied_as_one_of_the_option_is(tmp_
     said = new("one", "--set", f"stage.guide.file={file.name}")
     assert said.code == 0 and "synthetic" not in said.out
     assert (tmp_path / "one" / "survey.csv").read_bytes() == file.read_bytes()
-    stage = from_mapping(StageParameters, read_stage_file(tmp_path / "one" / "stage.yaml")["stage"])
+    stage = from_mapping(StageParameters, shipped_parameters(stage=tmp_path / "one" / "stage.yaml")["stage"])
     assert stage.guide.file == str(tmp_path / "one" / "survey.csv") and stage.motion.start == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("name", ["Bench 3, left gantry, axis X, " * 5 + "since May", "two\\nlines: ["])
 def test_a_new_stage_has_the_name_that_was_given_however_long(tmp_path, new, name):
     assert new(tmp_path / "one", "--set", f'name="{name}"').code == 0
-    assert read_stage_file(tmp_path / "one" / "stage.yaml")["stage"]["name"] == name.replace("\\n", "\n")
+    assert shipped_parameters(stage=tmp_path / "one" / "stage.yaml")["stage"]["name"] == name.replace("\\n", "\n")
 
 
 def test_the_survey_of_a_new_stage_may_have_the_gaps_that_are_given(tmp_path, new):
@@ -113,7 +113,7 @@ def test_questions_are_asked_on_a_terminal_until_the_answer_is_allowed(tmp_path,
     assert said.code == 0 and "'fast' Hz is not an integer" in said.out
     assert "facts given: 2" in said.out.replace("\n", " ")
     assert said.err.endswith(f"next: straightcomp stage check '{tmp_path}/my stage/stage.yaml'\n")
-    stage = from_mapping(StageParameters, read_stage_file(tmp_path / "my stage" / "stage.yaml")["stage"])
+    stage = from_mapping(StageParameters, shipped_parameters(stage=tmp_path / "my stage" / "stage.yaml")["stage"])
     assert stage.rate == 4000 and stage.platform == StageParameters().platform
 
 
@@ -148,7 +148,7 @@ def test_what_does_not_fit_the_answers_is_asked_for_until_it_does_and_they_are_k
     )
     said = verb("stage", "new", tmp_path / "one")
     assert said.code == 0 and f"facts given: {len(facts)};" in said.out
-    assert read_stage_file(tmp_path / "one" / "stage.yaml")["stage"].items() >= facts.items()
+    assert shipped_parameters(stage=tmp_path / "one" / "stage.yaml")["stage"].items() >= facts.items()
 
 
 @pytest.mark.parametrize("name", ["one", "one/deep/er"])

@@ -17,7 +17,7 @@ from straightcomp_ros.model.disturbances import Disturbances
 from straightcomp_ros.model.modes import ModeParameters
 from straightcomp_ros.offline.scenario import make_scenario
 from straightcomp_ros.offline.starts import Spread, runs_of_starts, spreads
-from straightcomp_ros.parameters.parameter_file import read_stage_file, shipped_parameters
+from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.design import error_budget as error_budget_module
 from straightcomp_ros.tuning.design.automatic_design import SHIPPED_QUIET, DesignFigures, design_gains
 from straightcomp_ros.tuning.design.error_budget import error_budget
@@ -231,7 +231,7 @@ def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_t
     assert code == 0
     for words in ("true error p-p", "ideal encoder of y", "quiet: stable for gains", "2 uncertain machines"):
         assert words in " ".join(printed.split())
-    answer, values = verb(*design, "--quiet", 1, "--json").json, read_stage_file(stage)
+    answer, values = verb(*design, "--quiet", 1, "--json").json, shipped_parameters(stage=stage)
     assert values["controller"]["control.law"] == "smc_observer"
     for name, value in answer["values"].items():
         assert values["controller"][name] == pytest.approx(value, rel=1e-5)
@@ -248,14 +248,14 @@ def test_a_design_tells_what_it_promises_and_its_gains_are_written_in_place_of_t
 @pytest.mark.parametrize("head", ["---\n", "# Mine.\n\n--- # of the gantry\n", "%YAML 1.1\n# Mine.\n---\n", "\ufeff"])
 def test_gains_are_written_behind_what_begins_a_yaml_document_and_replaced_there(stage, verb, monkeypatch, head):
     stage.write_text(head + stage.read_text(), encoding="utf-8")
-    before = read_stage_file(stage)
+    before = shipped_parameters(stage=stage)
     figures = DesignFigures(*[Spread(1e-7, 1e-7, 1e-7)] * 4)
     monkeypatch.setattr(design_command, "_print", lambda design, name: None)
     for gains in ({"reference_lead": 0.001}, {"error_limit": 0.002}):
         found = SimpleNamespace(law="smc", quiet=0.5, figures=figures, values=gains, newer={}, holds=True)
         monkeypatch.setattr(design_command, "design_gains", lambda *_, found=found, **__: found)
         assert verb("design", stage, "-o", stage).code == 0
-        after = read_stage_file(stage)
+        after = shipped_parameters(stage=stage)
         assert after["controller"] == {**before["controller"], "control.law": "smc", **gains}
         assert after["stage"] == before["stage"]
     assert stage.read_text().startswith(head.removeprefix("\ufeff")) and stage.read_text().count("/controller") == 1
