@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 from straightcomp_ros.cli import (
     CommandFailed,
@@ -231,15 +231,6 @@ class _Parser(argparse.ArgumentParser):
         if "" in arg_strings and action.default != "" and action.nargs != argparse.PARSER:
             self.error(str(argparse.ArgumentError(action, "is empty")))
         return super()._get_values(action, arg_strings)
-
-    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
-        """Print, with the error of an output that is closed or full: newer Pythons than 3.11.6 hide it."""
-        (file or sys.stderr).write(message)
-
-    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
-        """Print the help at once: `main` returns another exit code where the output is closed."""
-        sys.stdout.flush()
-        super().exit(status, message)
 
     def error(self, message: str) -> NoReturn:
         """End with exit code 2; the usage is in the help."""

@@ -227,10 +227,9 @@ BUILD = f"map build {REPOSITORY}/config/survey_synthetic.csv"
 @pytest.mark.parametrize(
     ("words", "unbuffered"),
     [
-        # Printed by the verb, by argparse, by rich, and an error.
-        *(("completion bash", ""), ("--help", ""), ("--help", "1"), (BUILD, ""), (BUILD, "1"), ("map build no", "")),
-        *nightly([("completion bash", "1"), ("--version", ""), ("--version", "1"), ("", ""), ("", "1")]),
-        *nightly([("map build no", "1")]),
+        # Printed by the verb, by rich, and an error.
+        *(("completion bash", ""), (BUILD, ""), (BUILD, "1"), ("map build no", "")),
+        *nightly([("completion bash", "1"), ("--version", ""), ("--version", "1"), ("map build no", "1")]),
     ],
 )
 def test_an_output_that_is_closed_or_full_ends_a_command_with_its_exit_code(words, unbuffered):
