@@ -243,24 +243,15 @@ def _headline(verb: Verb) -> tuple[str, str]:
     if len(verb.packages) > 1:
         return f"of {packages}: uninstall all but one", PURPOSES[-1]
     try:
-        specification = importlib.util.find_spec(verb.module)
-        literals = _literals(Path(specification.origin).read_bytes())  # type: ignore[union-attr, arg-type]
+        source = Path(importlib.util.find_spec(verb.module).origin).read_bytes()  # type: ignore[union-attr, arg-type]
+        given = (node for node in ast.parse(source).body if isinstance(node, ast.Assign))
+        literals = {
+            ast.unparse(one.targets[0]): one.value.value for one in given if isinstance(one.value, ast.Constant)
+        }
         purpose = literals.get("PURPOSE")
-        return literals["SUMMARY"], purpose if purpose in PURPOSES else PURPOSES[-1]
+        return str(literals["SUMMARY"]), purpose if purpose in PURPOSES else PURPOSES[-1]
     except Exception as error:  # of another package's own import, too
         return f"cannot be loaded ({packages}): {type(error).__name__}: {error}", PURPOSES[-1]
-
-
-def _literals(source: bytes) -> dict[str, str]:
-    """The names that a module's first level gives plain texts."""
-    assignments = [node for node in ast.parse(source).body if isinstance(node, ast.Assign | ast.AnnAssign)]
-    return {
-        target.id: node.value.value
-        for node in assignments
-        if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
-        if isinstance(target, ast.Name)
-    }
 
 
 def _listed(headlines: Mapping[str, tuple[str, str]]) -> str:
