@@ -25,7 +25,7 @@ from straightcomp_ros.cli.options import (
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written
 from straightcomp_ros.cli.results import show_findings, titled_table
-from straightcomp_ros.control.laws import OPEN_LOOP, ControlParameters
+from straightcomp_ros.control.laws import OPEN_LOOP
 from straightcomp_ros.parameters.declaration import (
     Declaration,
     ParameterError,
@@ -33,7 +33,7 @@ from straightcomp_ros.parameters.declaration import (
     declarations,
     from_mapping,
 )
-from straightcomp_ros.parameters.node_parameters import STAGE, ControllerNodeParameters, node_parameters
+from straightcomp_ros.parameters.node_parameters import STAGE, node_parameters
 from straightcomp_ros.parameters.output_files import write_whole
 from straightcomp_ros.parameters.parameter_file import ALL_NODES, commented
 from straightcomp_ros.stage.description import StageParameters
@@ -177,17 +177,8 @@ def _check(options: argparse.Namespace) -> int:
             notes.print(f"written: {plot}")
     if not (code or options.json):
         file = quote(options.file)
-        todo = f"simulate --stage {file}" if _gains_fit(controller) else f"design {file} -o {file}"
-        notes.print(f"next: straightcomp {todo}")
+        notes.print(f"next: straightcomp design {file} -o {file} for gains of its own, or simulate --stage {file}")
     return code
-
-
-def _gains_fit(controller: ControllerNodeParameters) -> bool:
-    """Whether the gains are not those of the shipped stage, or this one has its loop."""
-    ours, shipped = controller.stage, StageParameters()
-    loop = ("rate", "platform", "actuator", "friction", "drive", "encoder")
-    default = replace(ControlParameters(), law=controller.control.law)
-    return controller.control != default or all(getattr(ours, one) == getattr(shipped, one) for one in loop)
 
 
 def _show(options: argparse.Namespace) -> None:

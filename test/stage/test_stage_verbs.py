@@ -173,22 +173,6 @@ def test_a_check_fails_exactly_where_a_finding_does_and_a_new_stage_has_none(tmp
     assert found.code == (1 if found.json["fail"] else 0) == (1 if "fail" in states else 0)
 
 
-@pytest.mark.parametrize(
-    ("facts", "gains", "advised"),
-    [
-        ("", "", "simulate"),
-        ("    stage.platform.mass: 4.0\n", "", "design"),
-        ("    stage.platform.mass: 4.0\n", "    control.smc_observer.bandwidth: 300.0\n", "simulate"),
-    ],
-)
-def test_a_stage_without_gains_of_its_own_is_sent_to_the_design(tmp_path, verb, facts, gains, advised):
-    file = tmp_path / "stage.yaml"
-    shipped = "    stage.name: mine\n"
-    file.write_text(f"/**:\n  ros__parameters:\n{shipped}{facts}controller:\n  ros__parameters:\n{gains or shipped}")
-    found = verb("stage", "check", file)
-    assert found.code == 0 and f"next: straightcomp {advised} " in found.err
-
-
 def test_rates_of_two_nodes_that_differ_are_refused_as_by_a_simulation(tmp_path, verb):
     file = tmp_path / "stage.yaml"
     file.write_text("/**:\n  ros__parameters: {stage.rate: 2000}\ndriver:\n  ros__parameters: {stage.rate: 1000}\n")
