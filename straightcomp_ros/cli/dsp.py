@@ -7,7 +7,7 @@ import argparse
 import sys
 
 from straightcomp_ros.cli import main as command_line
-from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.hardware.can.hub_bus import INTERFACE
 from straightcomp_ros.hardware.can.link import check_interface
@@ -15,16 +15,13 @@ from straightcomp_ros.parameters.node_parameters import node_parameters
 
 SUMMARY = "emulate the DSP board on a CAN bus"
 PURPOSE = "run"
-_MOST_DRIFT_PPM = 1000.0
 _BUSES_OF_THE_FIRMWARE = ("socketcan", INTERFACE)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    add = parser.add_argument
-    drift = "error of the board's quartz (default: %(default)s)"
-    add("--drift-ppm", type=float, default=0.0, metavar="PPM", help=drift)
-    add("--hub", action="store_true", help="be the hub of interface straightcomp_hub too, at the socket can.channel")
+    hub = "be the hub of interface straightcomp_hub too, at the socket can.channel"
+    parser.add_argument("--hub", action="store_true", help=hub)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -32,18 +29,14 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.nodes.dsp_emulator import emulate
 
     parameters = node_parameters("driver", chosen_parameters(options))
-    check_range("--drift-ppm", options.drift_ppm, -_MOST_DRIFT_PPM, _MOST_DRIFT_PPM, "ppm")
     check_interface(parameters.can)
     interface = parameters.can.interface
     if options.hub and interface != INTERFACE:
         raise CommandFailed(f"--hub with can.interface '{interface}': allowed: {INTERFACE}", exit_code=2)
-    if parameters.can.firmware:
-        if interface not in _BUSES_OF_THE_FIRMWARE:
-            allowed = " or ".join(_BUSES_OF_THE_FIRMWARE)
-            raise CommandFailed(f"can.firmware with can.interface '{interface}': allowed: {allowed}", exit_code=2)
-        if options.drift_ppm:
-            raise CommandFailed("--drift-ppm with can.firmware: its clock is this computer's", exit_code=2)
-    emulate(parameters, options.drift_ppm * 1e-6, own_hub=options.hub)
+    if parameters.can.firmware and interface not in _BUSES_OF_THE_FIRMWARE:
+        allowed = " or ".join(_BUSES_OF_THE_FIRMWARE)
+        raise CommandFailed(f"can.firmware with can.interface '{interface}': allowed: {allowed}", exit_code=2)
+    emulate(parameters, own_hub=options.hub)
     return 0
 
 

@@ -25,16 +25,14 @@ before the sampling time."""
 
 
 class Emulator:
-    """The board's loop on its bus. The driver's parameters describe its simulated machine; ``drift`` is the relative
-    frequency error of its clock; with ``own_hub`` it is the hub of the bus too, so that no other process has to wake up
-    between board and host.
+    """The board's loop on its bus. The driver's parameters describe its simulated machine. With ``own_hub`` it is
+    the hub of the bus too, so that no other process has to wake up between board and host.
 
     Raises:
         HardwareError: the hub's socket cannot be made.
     """
 
-    def __init__(self, parameters: DriverNodeParameters, drift: float = 0.0, *, own_hub: bool = False) -> None:
-        self._rate = 1.0 + drift
+    def __init__(self, parameters: DriverNodeParameters, *, own_hub: bool = False) -> None:
         self._origin_ns = time.monotonic_ns()
         self._said: tuple[str, ...] = ()
         can, stage = parameters.can, parameters.stage
@@ -48,14 +46,10 @@ class Emulator:
             bus = dataclasses.replace(can, log="")
             self._line = Link(bus, self._board.identifiers, self._receive, self._now_ns)
             self._line.open()
-        self.loop = PeriodicLoop(round(stage.period_ns / self._rate), self._cycle)
-
-    def _board_ns(self, monotonic_ns: int) -> int:
-        """Convert monotonic time to the board's clock."""
-        return round((monotonic_ns - self._origin_ns) * self._rate)
+        self.loop = PeriodicLoop(stage.period_ns, self._cycle)
 
     def _now_ns(self) -> int:
-        return self._board_ns(time.monotonic_ns())
+        return time.monotonic_ns() - self._origin_ns
 
     def _arrival(self, frame: Frame) -> int:
         """A command acts from its time on the bus, not from when this process read it."""
@@ -71,7 +65,7 @@ class Emulator:
     def _cycle(self, wake_ns: int) -> None:
         if not self._started:
             # It samples at this loop's wake-up times, so that a sample is not up to a period old when it is sent.
-            self._board.start(self._board_ns(wake_ns) + _LEAD_NS)
+            self._board.start(wake_ns - self._origin_ns + _LEAD_NS)
             self._started = True
         self._line.wait(0.0)
         self._board.cycle(self._now_ns() + _LEAD_NS)
@@ -126,7 +120,7 @@ def _run_firmware(parameters: DriverNodeParameters, stopped: Callable[[], bool],
         program.serve(ended, hub)
 
 
-def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = False) -> None:
+def emulate(parameters: DriverNodeParameters, *, own_hub: bool = False) -> None:
     """Emulate the board until SIGINT, SIGTERM or SIGHUP, with ``own_hub`` the hub of the bus too; print ``ready`` when
     it samples.
 
@@ -138,7 +132,7 @@ def emulate(parameters: DriverNodeParameters, drift: float, *, own_hub: bool = F
     if parameters.can.firmware:
         _run_firmware(parameters, stopping, own_hub)
         return
-    with closing(Emulator(parameters, drift, own_hub=own_hub)) as emulator:
+    with closing(Emulator(parameters, own_hub=own_hub)) as emulator:
         _schedule(parameters.realtime)
         _ready()
         emulator.loop.run(stopping, idle=lambda: None)
