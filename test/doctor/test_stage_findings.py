@@ -116,14 +116,23 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(check, name, state, c
     assert state == "ok" or name != "stiction" or "friction" in finding["remedy"]
 
 
-@pytest.mark.parametrize(("spacing", "noise", "state"), [(1e-3, 2e-7, "ok"), (10e-3, 5e-7, "warn")])
+@pytest.mark.parametrize(
+    ("spacing", "noise", "count", "state"),
+    [
+        *((1e-3, 2e-7, 1e-7, "ok"), (10e-3, 5e-7, 1e-7, "warn")),
+        *((5e-3, 2e-9, 1e-9, "warn"), (5e-3, 0.2e-9, 0.1e-9, "ok"), (5e-3, 2e-9, 1e-7, "ok")),
+    ],
+)
 def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyond_the_encoder(
-    check, tmp_path, spacing, noise, state
+    check, tmp_path, spacing, noise, count, state
 ):
     survey = surveyed(spacing, noise)
     write_survey(tmp_path / "survey.csv", survey)
-    (finding,) = check(OWN, "survey", stage={"guide.file": str(tmp_path / "survey.csv")})
+    facts = {"guide.file": str(tmp_path / "survey.csv"), "encoder.y_resolution": count}
+    (finding,) = check(OWN, "survey", stage=facts)
     assert finding["state"] == state and str(mapped(survey).noise) in finding["detail"]
+    # Where no noise shows, more runs are not asked for.
+    assert state == "ok" or "shows no noise" not in finding["detail"]
 
 
 @pytest.mark.parametrize(
@@ -244,16 +253,6 @@ def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(chec
     # Without a law there is no loop.
     (finding,) = check(path, named="loop", stage=facts, controller={"control.law": "open_loop"})
     assert finding["state"] == "ok" and "stable" not in finding["detail"]
-
-
-@pytest.mark.parametrize(
-    ("noise", "count", "state"), [(2e-9, 1e-9, "warn"), (0.2e-9, 0.1e-9, "ok"), (2e-9, 1e-7, "ok")]
-)
-def test_a_survey_that_shows_no_noise_is_not_asked_for_more_runs(check, tmp_path, noise, count, state):
-    write_survey(tmp_path / "survey.csv", surveyed(5e-3, noise))
-    facts = {"guide.file": str(tmp_path / "survey.csv"), "encoder.y_resolution": count}
-    (finding,) = check(OWN, "survey", stage=facts)
-    assert finding["state"] == state and (state == "ok" or "shows no noise" not in finding["detail"])
 
 
 def test_a_count_of_x_is_as_usual_as_the_same_count_of_y_and_one_far_from_a_wrong_unit_as_any_of_y():

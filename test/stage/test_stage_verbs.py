@@ -39,25 +39,17 @@ def new(verb):
     return lambda folder, *options: verb("stage", "new", folder, "--yes", *options)
 
 
-def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, new, survey):
+@pytest.mark.parametrize("given", ["--survey=measured.csv", "--set=stage.guide.file=measured.csv"])
+def test_a_new_stage_has_the_strokes_of_its_survey_and_what_was_given(tmp_path, new, survey, monkeypatch, given):
     folder, file = tmp_path / "gantry", survey(100, 700)
-    given = ("--set", "platform.mass=8", "--set", "friction.bristle_stiffness=2e6")
-    assert new(folder, "--survey", file, *given).code == 0
+    monkeypatch.chdir(tmp_path)
+    said = new(folder, given, "--set", "platform.mass=8", "--set", "friction.bristle_stiffness=2e6")
+    assert said.code == 0 and "synthetic" not in said.out
     stage = from_mapping(StageParameters, shipped_parameters(stage=folder / "stage.yaml")["stage"])
     assert (stage.name, stage.platform.mass, stage.friction.bristle_stiffness) == ("gantry", 8.0, 2e6)
     assert (stage.motion.start, stage.motion.stroke) == pytest.approx((0.1, 0.6))
     assert stage.guide.file == str(folder / "survey.csv")
     assert (folder / "survey.csv").read_bytes() == file.read_bytes()
-
-
-def test_a_survey_that_is_given_as_a_fact_is_copied_as_one_of_the_option_is(tmp_path, new, survey, monkeypatch):
-    file = survey(100, 700)
-    monkeypatch.chdir(tmp_path)
-    said = new("one", "--set", f"stage.guide.file={file.name}")
-    assert said.code == 0 and "synthetic" not in said.out
-    assert (tmp_path / "one" / "survey.csv").read_bytes() == file.read_bytes()
-    stage = from_mapping(StageParameters, shipped_parameters(stage=tmp_path / "one" / "stage.yaml")["stage"])
-    assert stage.guide.file == str(tmp_path / "one" / "survey.csv") and stage.motion.start == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("name", ["Bench 3, left gantry, axis X, " * 5 + "since May", "two\\nlines: ["])
