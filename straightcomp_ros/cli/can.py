@@ -2,7 +2,6 @@
 
 import argparse
 import dataclasses
-import signal
 import sys
 from collections.abc import Iterable
 from contextlib import closing
@@ -46,8 +45,8 @@ def _hub_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _hub(options: argparse.Namespace) -> None:
     """Be a bus between processes of this computer, where the kernel has no CAN: programs that use python-can join it
-    with interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose; SIGUSR1 cuts all
-    links once. SIGINT, SIGTERM or SIGHUP ends it; it then prints its counters."""
+    with interface straightcomp_hub and the socket as the channel. It can spoil frames on purpose. SIGINT,
+    SIGTERM or SIGHUP ends it; it then prints its counters."""
     from straightcomp_ros.cell.stop_signals import noting_stop
     from straightcomp_ros.hardware.can.hub import Faults, Hub
     from straightcomp_ros.timing import realtime
@@ -59,22 +58,12 @@ def _hub(options: argparse.Namespace) -> None:
         raise CommandFailed(str(error), exit_code=2) from error
     hub = Hub(options.socket, faults)
     stopping = noting_stop()
-    cutting: list[int] = []
-    signal.signal(signal.SIGUSR1, lambda number, _: cutting.append(number))
-
-    def stopped() -> bool:
-        # The hub calls this between frames, so a cut here spoils none.
-        if cutting:
-            cutting.pop()
-            hub.cut()
-        return stopping()
-
     for refusal in realtime.apply(realtime.RealtimeParameters(priority=options.priority)):
         print(f"hub: {refusal}", file=sys.stderr)
     if not options.json:
         print("ready", flush=True)
     with closing(hub):
-        hub.run(stopped)
+        hub.run(stopping)
     counters = {"passed": hub.passed, "dropped": hub.dropped, "cuts": hub.cuts}
     injected = faults.injected if faults else {}
     if options.json:
