@@ -135,12 +135,9 @@ class Injection:
 
     Args:
         currents: (n,) control current in A to add, one for each sample.
-        fade: samples over which the signal rises at the beginning, and falls at the end.
+        fade: samples over which the signal rises at the beginning, and falls at the end; from 1 to half of n.
         limit: largest control current in A of command and signal together.
         travel: largest change of y − r in m since the signal's first sample; beyond it the signal fades out early.
-
-    Raises:
-        ValueError: the fades are longer than the signal.
 
     Attributes:
         finished: whether nothing is added any more.
@@ -149,10 +146,6 @@ class Injection:
     """
 
     def __init__(self, currents: Array, *, fade: int, limit: float, travel: float) -> None:
-        if not 1 <= fade <= currents.size // 2:
-            raise ValueError(
-                f"fade of an injection, {fade} samples; allowed: 1 to {currents.size // 2}, half the signal"
-            )
         self._currents: list[float] = currents.tolist()
         self._fade, self._limit, self._travel = fade, limit, travel
         self._next, self._end, self._origin = 0, currents.size, math.nan

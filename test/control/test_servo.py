@@ -272,12 +272,6 @@ def test_command_and_signal_together_stay_within_the_limit():
     assert answers(made(-FLAT, limit=0.5), 1000, command=-0.4).min() == -0.5
 
 
-@pytest.mark.parametrize("fade", [0, 501])
-def test_a_fade_that_does_not_fit_is_refused(fade):
-    with pytest.raises(ValueError, match="allowed: 1 to 500"):
-        made(fade=fade)
-
-
 def test_the_servo_adds_the_signal_once_a_sample_and_leaves_what_the_law_asked_for():
     servo = Servo(steady(0.1))
     servo.inject(made(0.2 + np.arange(1000.0) / 1e4, fade=1))
