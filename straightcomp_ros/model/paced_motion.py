@@ -113,11 +113,10 @@ class PacedMotion:
             raise ValueError(f"stage trajectory starts at {first} m, but the stage stands at {here} m")
         moving, speed = self.moving, trajectory.rates(0)[0]
         if abs(speed - self._velocity) > _SAME_SPEED:
-            if moving:
-                raise ValueError(
-                    "the stage is moving; end its motion first, or let the first point come later than 0 s"
-                )
-            raise ValueError(f"stage trajectory starts at {speed:g} m/s, but the stage stands")
+            raise ValueError(
+                f"stage trajectory starts at {speed:g} m/s, but the stage moves at {self._velocity:g} m/s; end its "
+                "motion first, or let the first point come later than 0 s"
+            )
         if not moving:
             self._u, self._rate = self._target, 0.0
         # A start in the past is one: the stage is on its way by now.
