@@ -160,9 +160,6 @@ def throttling(folder: Path = Path("/proc/sys/kernel"), release: str | None = No
 
 def wake_up_latency(file: Path = Path("/dev/cpu_dma_latency")) -> Finding:
     """Whether a node may keep the CPUs from deep sleep (realtime.keep_awake)."""
-    if not file.exists():
-        remedy = "Choose a kernel with CPU idle governors, or ignore this."
-        return Finding("CPU wake-up", "warn", f"{file} is not there", remedy)
     can = os.access(file, os.W_OK)
     remedy = 'Add the udev rule KERNEL=="cpu_dma_latency", GROUP="realtime", MODE="0660" and join that group.'
     return judged("CPU wake-up", can, f"{file} {'can' if can else 'cannot'} be written", remedy)

@@ -176,7 +176,7 @@ def given(check, *arguments, **files):
         (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **BUILT_NONE, **FULL), "warn", "preemption full"),
         # What only a dynamic kernel listens to.
         (given(computer.kernel, FOLDER, "7.0", DYNAMIC, **STATIC, **FULL), "warn", "preemption voluntary"),
-        (given(computer.wake_up_latency, FILE), "warn", "is not there"),
+        (given(computer.wake_up_latency, FILE), "warn", "cannot be written"),
         (given(computer.wake_up_latency, FILE, file=""), "ok", "can be written"),
         (given(computer.cores, 2, ()), "warn", "4 or more"),
         (given(computer.cores, 4, ()), "ok", "4"),
