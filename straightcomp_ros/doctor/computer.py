@@ -21,6 +21,7 @@ from straightcomp_ros.bags.topics import ROS_DISTRO
 from straightcomp_ros.cell.launcher import program
 from straightcomp_ros.doctor import Finding, State, judged
 from straightcomp_ros.parameters.middlewares import MIDDLEWARES, RANGE_VARIABLE, description, missing_profile
+from straightcomp_ros.parameters.share import share_path
 from straightcomp_ros.timing.cpus import left_behind
 from straightcomp_ros.timing.realtime import realtime_limit
 
@@ -58,6 +59,16 @@ _LOOK_S, _BUSY, _STOLEN = 0.5, 0.5, 0.02
 _IDLE, _STEAL = [3, 4], 7
 """Columns of /proc/stat: idle and waiting for the disk; taken by the hypervisor."""
 _ARPHRD_CAN = "280"
+
+
+def package_files() -> Finding:
+    """Whether the parameter file and the synthetic survey are found."""
+    try:
+        folder = share_path("config/straightcomp.yaml").parent
+        share_path("config/survey_synthetic.csv")
+    except FileNotFoundError as error:
+        return Finding("package files", "fail", str(error), "Install the package again: make setup, or colcon build.")
+    return Finding("package files", "ok", str(folder))
 
 
 def ros(command: Sequence[str] = program(_ASK_ROS), timeout: float = 60.0) -> list[Finding]:
@@ -287,6 +298,7 @@ def _read(file: Path) -> str:
 
 
 CHECKS: Mapping[str, Callable[[], Finding | list[Finding]]] = {
+    "package files": package_files,
     "rclpy": ros,
     "distribution": distribution,
     "discovery": discovery,
