@@ -2,8 +2,8 @@
 
     sudo python -m trials incidents --user visitor
 
-What y, or x within a sample, shows is done to a simulated machine, and found by the watches of driver and controller;
-every other fault (a node that is gone, a full disk, an operator) has the reason that the table of faults has for it.
+Each is of a simulated run that ends with a sample as the fault makes it, and a node that reports the fault by the words
+that the table of faults has for it.
 Prints for each fault the size of its incident and its first line; the exit code is 1 if one does not name its fault,
 or opens with another line or other bits of the commands.
 """
@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,60 +29,21 @@ from straightcomp_ros.hardware.interface import Sample
 from straightcomp_ros.messages.cdr import ENCAPSULATION, NANOSECONDS, append_aligned
 from straightcomp_ros.offline.incident import NO_REASON, pack
 from straightcomp_ros.offline.simulation import Simulation
-from straightcomp_ros.parameters.node_parameters import by_node, node_parameters
+from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.safety.faults import Fault
-from straightcomp_ros.safety.watch import ErrorWatch, SampleWatch
-from trials.faulty_machine import FaultyHardware
+from trials.faulty_machine import FAULTS
 
 SUMMARY = "incidents of all faults, packed and opened"
-_AT_S = 0.6
-"""Time of the disturbance in the run."""
-_ERROR_LIMIT = 50e-6
-"""m, of the following error."""
+_AT_NS = 600_000_000
+"""Time of the fault in the run."""
 _REPORTING = {Fault.MAP_MISSING: "feedforward", Fault.SAMPLE_TIMEOUT: "controller"}
 """The node whose diagnostics name a fault, where it is not the driver."""
-_INJECTED = {
-    Fault.SAMPLE_NOT_FINITE: "sample NaN",
-    Fault.X_JUMP: "jump in x",
-    Fault.Y_OUT_OF_RANGE: "y out of range",
-    Fault.Y_FROZEN: "encoder y frozen",
-    Fault.FOLLOWING_ERROR: "y out of range",
-}
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 _LOGGED = {
     Fault.HEARTBEAT_LOST: ("cell", "[ERROR] [cell]: cycle failed: heartbeat_lost: no heartbeat of feedforward for 1 s"),
     Fault.RECORDING_STOPPED: ("logger", "[ERROR] [logger]: recording stopped: bag run: 0 bytes are free on its disk"),
 }
-
-
-class _Found(Exception):
-    """A fault was found, at a sample, with a reason."""
-
-
-class _Watched(FaultyHardware):
-    """The machine with its disturbance, behind the driver's watch, which sees a sample before the law does."""
-
-    def __init__(self, machine: Any, watch: SampleWatch, wanted: Fault) -> None:
-        super().__init__(machine)
-        self._watch, self._wanted, self._commanded = watch, wanted, 0.0
-
-    def write(self, current: float, at_ns: int) -> None:
-        self._commanded = current
-        self._inner.write(current, at_ns)
-
-    def read(self, now_ns: int) -> Any:
-        if now_ns > _AT_S * 1e9 and not self.injected:
-            self.inject(_INJECTED.get(self._wanted, ""))
-        found, wanted = super().read(now_ns), self._wanted
-        for sample, _ in found:
-            finding = self._watch.check(sample, self._commanded)
-            self._watch.hold()
-            if wanted not in _INJECTED and sample.stamp_ns >= _AT_S * 1e9:
-                finding = wanted, wanted.value.means
-            if finding and finding[0] is wanted:
-                raise _Found(sample, finding[1])
-        return found
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -139,31 +101,26 @@ def record_fault(fault: Fault, bag: Path) -> None:
     """Record a run in simulated time that ends with a fault, as the logger would have it."""
     values = shipped_parameters()
     values["stage"] |= {"motion.stroke": 0.2, "motion.settle": 0.1, "motion.pause": 0.1}
-    driver, errors = node_parameters("driver", values), ErrorWatch(_ERROR_LIMIT)
-    watch = SampleWatch(driver.watch, driver.stage)
+    simulation = Simulation(values)
 
-    def observe(sample: Sample, truth: Any, reference: Any, command: Any, age: float) -> None:
-        finding = errors.check(reference[0] - sample.y, amplifier_on=True)
-        if finding and finding[0] is fault:
-            raise _Found(sample, finding[1])
-        run.add(sample, truth, reference, command, age)
+    def observe(sample: Sample, *answer: Any) -> None:
+        if sample.stamp_ns < _AT_NS:
+            run.add(sample, *answer)
+            return
+        for found, change in FAULTS.values():
+            sample = change(sample, sample) if found is fault else sample
+        # It has no answer.
+        columns, stamp = (sample.x, sample.y, math.nan, math.nan), START_NS + sample.stamp_ns
+        run._bag.write(f"/{ENCODER.topic}", ENCODER.layout.pack(stamp, *columns), stamp, stamp)
+        if fault not in _LOGGED:
+            text = f"{fault.label}: {fault.value.means}"
+            run._bag.write(DIAGNOSTICS, _diagnostics(_REPORTING.get(fault, "driver"), text, stamp), stamp, stamp)
+        raise StopIteration
 
-    simulation = Simulation(values, wiring=lambda machine: _Watched(machine, watch, fault))
     bag.parent.mkdir(parents=True)
-    with SimulatedRun(bag, by_node(values), simulation.delay) as run:
+    with SimulatedRun(bag, by_node(values), simulation.delay) as run, suppress(StopIteration):
         run._bag.add(Topic(DIAGNOSTICS, _ARRAY))
-        try:
-            simulation.run(observe=observe)
-            raise CommandFailed(f"{fault.label}: was not found")
-        except _Found as found:
-            # The sample of the fault has no answer; the node's next diagnostics name the fault.
-            sample, text = found.args
-            stamp = START_NS + sample.stamp_ns
-            columns = (sample.x, sample.y, math.nan, math.nan)
-            run._bag.write(f"/{ENCODER.topic}", ENCODER.layout.pack(stamp, *columns), stamp, stamp)
-            if fault not in _LOGGED:
-                diagnostics = _diagnostics(_REPORTING.get(fault, "driver"), f"{fault.label}: {text}", stamp)
-                run._bag.write(DIAGNOSTICS, diagnostics, stamp, stamp)
+        simulation.run(observe=observe)
     if fault in _LOGGED:
         node, line = _LOGGED[fault]
         (bag.parent / "logs").mkdir()
