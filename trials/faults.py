@@ -79,7 +79,7 @@ def _logger_missed(stand: Stand, _: Sequence[Fault]) -> int | None:
 
 def _recording_ended(stand: Stand, _: Sequence[Fault]) -> int | None:
     """The logger must end with a complete bag, and the loop keep running."""
-    if not stand.until(lambda: stand.exit_code("logger") is not None, STOP_S):
+    if not stand.until(lambda: stand.graph.exit_code("logger") is not None, STOP_S):
         return None
     found = time.time_ns()
     if not (stand.bag / "metadata.yaml").exists():

@@ -32,8 +32,6 @@ from straightcomp_ros.runtime.middleware import own_profile
 from straightcomp_ros.runtime.safety_panel import LATCHED
 from straightcomp_ros.runtime.streams import message_class, stream_qos
 from straightcomp_ros.safety.faults import LABELLED, Fault
-from straightcomp_ros.timing import realtime
-from straightcomp_ros.timing.realtime import RealtimeParameters
 from trials.faulty_driver import INJECT, INJECTED, NEW_MACHINE, FaultyDriver
 from trials.foreign_publisher import publish
 
@@ -85,7 +83,6 @@ class Stand:
     def __init__(self, folder: Path, values: Mapping[str, Mapping[str, Any]], composed: bool = False) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._folder, self._file = folder, folder / "parameters.yaml"
-        self._realtime = RealtimeParameters(priority=values["driver"].get("realtime.priority", 0))
         self._file.write_text(as_parameter_file(values))
         os.environ.update(isolated_environment())
         self.graph = Graph(folder)
@@ -118,24 +115,9 @@ class Stand:
     def __enter__(self) -> Stand:
         for name in self.names:
             self.start(name)
-        # A process that communicates with nodes of real-time priority needs the same priority.
-        realtime.apply(self._realtime)
-        # Those that it starts choose theirs: a foreign publisher of real-time priority would stop the loop.
-        policy = os.sched_getscheduler(0) | os.SCHED_RESET_ON_FORK
-        os.sched_setscheduler(0, policy, os.sched_getparam(0))
         return self
 
-    def exit_code(self, name: str) -> int | None:
-        """The exit code of a process; None while it runs."""
-        policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
-        _leave_real_time()
-        try:
-            return self.graph.exit_code(name)
-        finally:
-            os.sched_setscheduler(0, policy, priority)
-
     def __exit__(self, *_: object) -> None:
-        _leave_real_time()
         self.graph.stop()
         self.node.destroy_node()
         rclpy.try_shutdown()
@@ -157,9 +139,9 @@ class Stand:
 
     def restart(self, name: str) -> None:
         """Start a killed node again once its process has ended; a new driver's amplifier must be off."""
-        if any(self.exit_code(other) is not None for other in self.names if other != name):
+        if any(self.graph.exit_code(other) is not None for other in self.names if other != name):
             self.fail("another node has ended too")
-        self.until(lambda: self.exit_code(name) is not None, STOP_S)
+        self.until(lambda: self.graph.exit_code(name) is not None, STOP_S)
         drives = name == self.process_of["driver"]
         if drives:
             self.condition = ""
@@ -169,7 +151,6 @@ class Stand:
 
     def stop(self) -> dict[str, int]:
         """Stop all nodes as an operator does, the logger last; their exit codes, negative for one that was killed."""
-        _leave_real_time()
         others = [name for name in self.names if name != "logger"]
         return self.graph.stop(others) | self.graph.stop(["logger"])
 
@@ -280,7 +261,7 @@ class Stand:
             self.until(lambda: client.ready, _ANSWER_S)
         process = self.process_of[service.split("/")[0]]
         future = self._clients[service].call(kind.Request(**fields))
-        if not self.until(lambda: future.done() or self.exit_code(process) is not None, _REPLY_S):
+        if not self.until(lambda: future.done() or self.graph.exit_code(process) is not None, _REPLY_S):
             self.answers_lost += 1
         return future.result()
 
@@ -313,12 +294,6 @@ class Stand:
 
     def _on_injected(self, message: DiagnosticStatus) -> None:
         self.injected_ns = int(message.values[0].value)
-
-
-def _leave_real_time() -> None:
-    """With real-time priority, the end of a child can starve another process that looks at it in /proc, for which the
-    kernel waits: for ever, with all of normal priority on this CPU."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 _STROKES = MotionParameters(stroke=0.1, speed=0.1, acceleration=0.4, settle=0.0, pause=0.0)
