@@ -9,7 +9,6 @@ of their CPUs work. Run it on a computer at rest; a stroke takes half a minute. 
 
 import argparse
 import itertools
-import statistics
 import subprocess
 import sys
 from collections import defaultdict
@@ -32,8 +31,9 @@ from trials.rig import add_output, output, tracked
 SUMMARY = "accuracy of live strokes: composed or separate, loaded or quiet, one stage or two"
 GRAPHS, LOADS = ("separate", "composed"), ("quiet", "busy")
 BUSY = 4
-ERRORS = "pp_um", "undisturbed_pp_um"
+ERRORS = "true_pp_um", "undisturbed_pp_um"
 """Of a stroke, the second one without what the stalls of the host disturbed."""
+FIGURES = (*ERRORS, "control_rms_step_A", "latency_p50_us", "latency_p99_us")
 LARGEST_RATIO = 1.2
 """Of a stage's median error while another stage moves to that alone."""
 _WRITE = """
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def run_together(condition: Condition, stages: Mapping[str, Values], folder: Path) -> dict[str, dict[str, Any]]:
-    """One stroke of each stage of ``condition``, all at once; they are evaluated when all have ended.
+    """Figures of one stroke of each stage of ``condition``, all at once; evaluated when all have ended.
 
     Raises:
         DemonstrationFailed: a graph failed.
@@ -115,7 +115,8 @@ def run_together(condition: Condition, stages: Mapping[str, Values], folder: Pat
         graphs = [pool.submit(make, values, folder / stage, namespace=stage) for stage, values in chosen.items()]
     for graph in graphs:
         graph.result()
-    return {stage: stroke_of(values, folder / stage) for stage, values in chosen.items()}
+    found = {stage: judged(values, folder / stage) for stage, values in chosen.items()}
+    return {stage: one.figures() | {"stalls": len(one.evaluation.stalls)} for stage, one in found.items()}
 
 
 def at_priority(values: Values, priority: int) -> Values:
@@ -123,15 +124,6 @@ def at_priority(values: Values, priority: int) -> Values:
     for node in NODE_PARAMETERS:
         values = with_values(values, node, {"realtime.priority": priority})
     return values if priority else with_values(values, "driver", {"realtime.keep_awake": False})
-
-
-def stroke_of(values: Values, folder: Path) -> dict[str, Any]:
-    """The figures of a recorded stroke; in µm, mA and µs."""
-    found = judged(values, folder)
-    figures = found.figures()
-    names = ("latency_p50_us", "latency_p99_us", "lost_samples", "held_up", "verdict", "reason", "undisturbed_pp_um")
-    stroke = {name: figures[name] for name in names} | {"stalls": len(found.evaluation.stalls)}
-    return stroke | {"pp_um": figures["true_pp_um"], "step_mA": figures["control_rms_step_A"] * 1e3}
 
 
 @contextmanager
@@ -153,8 +145,7 @@ def row(condition: Condition, stage: str, strokes: Sequence[Mapping[str, Any]]) 
         **condition._asdict(),
         "stage": stage,
         "strokes": len(strokes),
-        **{name: spread(one[name] for one in strokes)._asdict() for name in (*ERRORS, "step_mA")},
-        **{name: statistics.median(one[name] for one in strokes) for name in ("latency_p50_us", "latency_p99_us")},
+        **{name: spread(one[name] for one in strokes)._asdict() for name in FIGURES},
         **{name: sum(one[name] for one in strokes) for name in ("lost_samples", "stalls")},
         "not_in_order": [f"{one['verdict']}: {one['reason']}" for one in strokes if one["verdict"] != "in_order"],
         "held_up": [one["held_up"] for one in strokes if one["held_up"]],

@@ -161,12 +161,11 @@ def test_a_run_has_passed_only_if_something_was_done_and_nothing_failed(soak, st
     assert soak.figures([])["failures"] == ["the amplifier is 'off'"]
 
 
-@pytest.mark.parametrize(("beside", "code"), [({"pp_um": 0.23}, 0), ({"pp_um": 0.25}, 1), (None, 1)])
+@pytest.mark.parametrize(("beside", "code"), [({"true_pp_um": 0.23}, 0), ({"true_pp_um": 0.25}, 1), (None, 1)])
 def test_two_stages_pass_by_their_errors_beside_those_without_the_hosts_stalls_and_fail_with_a_stroke(
     beside, code, tmp_path, capsys, monkeypatch
 ):
-    alone = dict.fromkeys(("step_mA", "latency_p50_us", "latency_p99_us"), 1.0) | {"pp_um": 0.2, "stalls": 0}
-    alone |= {"undisturbed_pp_um": 0.2, "lost_samples": 0, "held_up": "", "verdict": "in_order", "reason": ""}
+    alone = dict.fromkeys(strokes.FIGURES, 0.2) | {"stalls": 0, "lost_samples": 0, "held_up": "", "verdict": "in_order"}
 
     def run_together(condition, stages, folder):
         if len(condition.stages) == 1:
