@@ -33,7 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import default_output, recover
-from straightcomp_ros.bench.graph_bench import Usage, growth_mb_per_hour, usage
+from straightcomp_ros.bench.graph_bench import usage
 from straightcomp_ros.cell.launcher import COMPOSED, LaunchError
 from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
 from straightcomp_ros.cli.output import notes, print_json, require_ros
@@ -66,10 +66,6 @@ _TAKEN_BY_A_KILL_S = 0.5
 """Longest part of a recording that SIGKILL may lose."""
 _FADE_S = 0.7
 """The feedforward refuses a change of its map during the previous one, which takes 0.5 s."""
-MEMORY_SPAN_S = 600.0
-"""Shortest time over which the slope of a process's memory is meaningful: a logger takes 5 MB in the first four minutes
-of its work, and 6 to 8 MB in fifteen."""
-MEMORY_LIMIT_MB_PER_HOUR = 60.0
 HISTORIES_MB = 60.0
 """What a process may take once: the middleware keeps, for the lease of a killed recorder, the batches that it has not
 acknowledged, and does not give their memory back. Driver, feedforward and controller in one process grew by 48 to 51 MB
@@ -135,7 +131,7 @@ class Soak:
         counts: how often each kind of action was done; faults latched as required or permitted, and those that the
             graph latched by itself while this computer stalled (without a stall they are failures), by name.
         back_s: times from an action to normal operation.
-        looks: at each process from the end of its warm-up on, by its name and id, while the whole graph works.
+        looks: the first and the last at each process, by its name and id, since its warm-up, while the graph works.
     """
 
     def __init__(
@@ -146,7 +142,7 @@ class Soak:
         self.recorded: list[tuple[int, int]] = []
         self.counts = {name: Counter[str]() for name in ("actions", "faults", "faults_in_stalls")}
         self.back_s = list[float]()
-        self.looks: dict[tuple[str, int], list[Look]] = {}
+        self.looks: dict[tuple[str, int], tuple[Look, Look]] = {}
         self._interrupted_ns = self._recording_ns = 0
         self._report: tuple[int, int, int] | None = None
         stand.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 100)
@@ -198,19 +194,25 @@ class Soak:
         with suppress(OSError):
             for name, pid in self.stand.processes.items():
                 if time.monotonic() - self.stand.started[name] >= WARM_UP_S:
-                    self.looks.setdefault((name, pid), []).append(look(pid))
+                    now = look(pid)
+                    self.looks[name, pid] = self.looks.get((name, pid), (now,))[0], now
 
     def figures(self, failures: Sequence[str]) -> dict[str, Any]:
         """Values by name; with further ``failures``. A run has passed if at least one action was done and nothing
         failed."""
-        processes = [grown(*who, looks) for who, looks in self.looks.items() if len(looks) > 1]
-        failed = [*self.stand.failures, *failures, *(words for _, found in processes for words in found)]
+        grew = [
+            words for (name, pid), looks in self.looks.items() for words in grown(f"{name} (process {pid})", *looks)
+        ]
+        failed = [*self.stand.failures, *failures, *grew]
         return {
             **self.counts,
             "answers_lost": self.stand.answers_lost,
             "longest_back_to_work_s": max(self.back_s, default=None),
             "recorded_s": sum(end - begin for begin, end in self.recorded) * 1e-9,
-            "processes": [shown for shown, _ in processes],
+            "processes": [
+                {"name": name, "first": first._asdict(), "last": last._asdict()}
+                for (name, _), (first, last) in self.looks.items()
+            ],
             "failures": failed,
             "passed": bool(self.counts["actions"]) and not failed,
         }
@@ -405,13 +407,17 @@ ACTIONS: Mapping[str, Callable[[Soak], Sequence[Fault] | None]] = {
 
 
 class Look(NamedTuple):
-    """One process at one time: ns since the epoch, open descriptors without those of :data:`_OF_A_THREAD`, threads,
-    resident memory in MB (10⁶ bytes)."""
+    """One process at one time: open descriptors without those of :data:`_OF_A_THREAD`, threads, and resident memory in
+    MB (10⁶ bytes)."""
 
-    time_ns: int
     descriptors: int
     threads: int
-    rss_mb: float
+    memory_mb: float
+
+
+MAY_GAIN = Look(0, 0, HISTORIES_MB)
+"""What a process may have more in its last look than in the first. A peak between them is no leak: a killed node and
+its successor may both be known to the others for a while."""
 
 
 def look(process_id: int) -> Look:
@@ -422,26 +428,13 @@ def look(process_id: int) -> Look:
             files.append(os.readlink(f"{folder}/{one}"))
     descriptors = sum(not file.endswith(_OF_A_THREAD) for file in files)
     threads = len(os.listdir(f"/proc/{process_id}/task"))
-    return Look(time.time_ns(), descriptors, threads, usage({"": process_id}).rss_mb[""])
+    return Look(descriptors, threads, usage({"": process_id}).rss_mb[""])
 
 
-def grown(name: str, process_id: int, looks: Sequence[Look]) -> tuple[dict[str, Any], list[str]]:
-    """Values of one process by name, at the first look and the last, and inadmissible growth, in words.
-
-    A look may be taken while a killed peer and its successor are both known: such a peak of descriptors and threads is
-    ignored unless it is in the last look.
-    """
-    first, last = looks[0], looks[-1]
-    seconds, slope = (last.time_ns - first.time_ns) * 1e-9, None
-    who = f"{name} (process {process_id}, {seconds:.0f} s)"
-    counts = {what: (getattr(first, what), getattr(last, what)) for what in ("descriptors", "threads")}
-    found = [f"{who} has {end} {what} after {begin}" for what, (begin, end) in counts.items() if end > begin]
-    if seconds >= MEMORY_SPAN_S:
-        slope = growth_mb_per_hour([Usage(one.time_ns, {}, {name: one.rss_mb}) for one in looks])[name]
-        if slope > MEMORY_LIMIT_MB_PER_HOUR and last.rss_mb - first.rss_mb > HISTORIES_MB:
-            found.append(f"the memory of {who} grows by {slope:.0f} MB/h; allowed: {MEMORY_LIMIT_MB_PER_HOUR:g}")
-    memory = {"rss_mb": (first.rss_mb, last.rss_mb), "slope_mb_per_hour": slope}
-    return {"name": name, "seconds": seconds, **counts, **memory}, found
+def grown(who: str, first: Look, last: Look) -> list[str]:
+    """Inadmissible growth of a process between two looks, in words."""
+    each = zip(Look._fields, first, last, MAY_GAIN, strict=True)
+    return [f"{who} has {end:g} {what} after {begin:g}" for what, begin, end, more in each if end > begin + more]
 
 
 def missing_in_bags(folder: Path, recorded: Sequence[tuple[int, int]]) -> tuple[Counter[str], list[str]]:
