@@ -45,7 +45,6 @@ _REPLY_S = 1.0
 """Time limit of one request: it is lost if it goes to a killed node that is still known."""
 _SETTLE_S = 0.1
 _REQUESTS, _REFUSALS = 3, 2
-_SENDS = 3
 _AT_THE_STOP = (Fault.Y_OUT_OF_RANGE, Fault.Y_FROZEN)
 STOP_S = 30.0
 SILENT_AFTER_S = 1.0
@@ -93,7 +92,7 @@ class Stand:
         self.processes: dict[str, int] = {}
         self.started: dict[str, float] = {}
         self.condition, self.fault, self.tripped = "", None, None
-        self.injected_ns = self.answers_lost = self._bags = self._sends = 0
+        self.injected_ns = self.answers_lost = self._bags = 0
         self.x, self.farthest, self.hard_stop = 0.0, 0.0, node_parameters("driver", values).stage.platform.stop
         with own_profile():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -127,8 +126,6 @@ class Stand:
         parameters, command = {}, None
         if name == self.process_of["driver"]:
             command = [sys.executable, "-m", FaultyDriver.__module__, name]
-            # More than once: the first may come before the driver is connected; it refuses those that it does not need.
-            self._sends = _SENDS
         if name == "logger":
             self._bags += 1
             parameters["output"] = str(self.bag)
@@ -211,7 +208,8 @@ class Stand:
             self.fail("the fault was not latched: the amplifier could be switched on")
 
     def move(self, motion: JointTrajectory | None = None) -> None:
-        """Start a motion, by default the forth and back. The driver refuses one that begins where the stage is not."""
+        """Start a motion, by default the forth and back. The driver refuses one that begins where the stage is not,
+        and while it moves."""
         self._trajectory.publish(motion or _MOTION)
 
     def switch_on(self) -> None:
@@ -228,14 +226,11 @@ class Stand:
                 continue
             self.spin(0.03)
             self.request(Trigger, "driver/reset_fault")
-            if self._sends:
-                self._sends -= 1
-                self.move()
+            self.move()
             refusals += 1
             if refusals % _REFUSALS == 0 and self.fault is not None and self.fault.fault in _AT_THE_STOP:
                 # The platform may be at its mechanical stop, where no law gets it off.
                 self.inject(NEW_MACHINE)
-                self._sends = _SENDS
                 continue
             if self.enable() and self.until(lambda: self.condition == "on", 1.0):
                 self.spin(_SETTLE_S)
