@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
-from rich.text import Text
 from verbs import Ended, exit_code
 
 from straightcomp_ros.cell.launcher import Graph
@@ -80,24 +79,3 @@ def verb(capsys):
         return Ended(exit_code(words), *capsys.readouterr())
 
     return run
-
-
-@pytest.fixture(autouse=True, scope="session")
-def printed_tables_are_whole():
-    """Whichever test prints a table, at 80 columns: all its words are there, so that no number is cut."""
-    from straightcomp_ros.cli.results import LONGEST_WHOLE, FittingTable
-
-    render = FittingTable.__rich_console__
-
-    def looked_at(self, console, options):
-        found = list(render(self, console, options))
-        shown = set("".join(f" {one}" if isinstance(one, Text) else one.text for one in found).split())
-        words = {word for column in self.columns for cell in column.cells for word in str(cell).split()}
-        assert {word for word in words if len(word) <= LONGEST_WHOLE} <= shown
-        # A longer one goes on in the next line.
-        assert not any(column.no_wrap for column in self.columns)
-        return found
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(FittingTable, "__rich_console__", looked_at)
-        yield

@@ -2,7 +2,6 @@
 
 import json
 import re
-from xml.etree import ElementTree
 
 import numpy as np
 from places import BAGS, REPOSITORY
@@ -47,16 +46,3 @@ def test_every_path_in_foxglove_is_a_number_of_a_message_and_is_called_as_its_co
         layout = LAYOUTS[topic]
         columns = [c for c, (a, _) in zip(layout.columns, layout.places, strict=True) if a == array]
         assert path.get("label", columns[int(place)]) == columns[int(place)], path
-
-
-def test_every_curve_in_plotjuggler_is_a_number_of_the_contract():
-    series = set()
-    for topic, layout in LAYOUTS.items():
-        trajectory = layout.type_name.endswith("JointTrajectory")
-        for array, joint in layout.places:
-            series.add(f"{topic}/points[0]/{array}[0]" if trajectory else f"{topic}/{joint}/{array}")
-    curves = list(ElementTree.parse(CONFIG / "plotjuggler.xml").iter("curve"))
-    named = {curve.get(key) for curve in curves for key in ("curve_x", "curve_y", "name") if curve.get(key)}
-    # A curve over another number has a name of its own.
-    named -= {curve.get("name") for curve in curves if curve.get("curve_x")}
-    assert len(named) > 20 and named <= series

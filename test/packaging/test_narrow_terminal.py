@@ -1,5 +1,4 @@
-"""Tables of the command line on a narrow terminal: the fixture ``printed_tables_are_whole`` looks at those of all verbs
-that any test prints, at 80 columns."""
+"""Tables of the command line, all of one class, on a narrow terminal."""
 
 from io import StringIO
 

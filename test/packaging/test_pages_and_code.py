@@ -4,7 +4,6 @@ Each is of one kind, says for whom it is, and those for users in need have every
 import ast
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from itertools import chain
@@ -287,23 +286,10 @@ def test_each_verdict_has_its_row_among_the_symptoms():
 
 
 @pytest.mark.nightly
-def test_the_pages_build_without_a_warning_and_a_link_that_leads_nowhere_fails_the_build(tmp_path):
+def test_the_pages_build_without_a_warning(tmp_path):
     """What `make docs` runs."""
     options = re.search(r"-m mkdocs (.*)", (REPOSITORY / "Makefile").read_text(encoding="utf-8"))[1].split()
-
-    def build(folder, site):
-        command = [sys.executable, "-m", "mkdocs", *options, "--site-dir", str(site)]
-        return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
-
-    built = build(REPOSITORY, tmp_path / "site")
+    assert "--strict" in options
+    command = [sys.executable, "-m", "mkdocs", *options, "--site-dir", str(tmp_path / "site")]
+    built = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=300)
     assert built.returncode == 0, built.stdout + built.stderr
-    shutil.copy(REPOSITORY / "mkdocs.yml", tmp_path)
-    shutil.copytree(DOCS, tmp_path / "docs")
-    for part in ("straightcomp_ros", "scripts"):
-        (tmp_path / part).symlink_to(REPOSITORY / part)
-    links = ["nowhere.md", "law.md#nowhere", "../README.md", "images/nowhere.png"]
-    with (tmp_path / "docs" / "view.md").open("a", encoding="utf-8") as page:
-        page.writelines(f"\n[text]({link})\n" for link in links)
-    built = build(tmp_path, tmp_path / "site")
-    assert built.returncode != 0
-    assert [link for link in links if link.partition("#")[0] not in built.stderr] == []
