@@ -117,22 +117,6 @@ def test_every_value_of_a_parameter_that_a_page_states_is_the_default_or_the_shi
         assert not meant or any(value == pytest.approx(float(number) * SCALES.get(unit, 1.0)) for value in values), name
 
 
-def test_the_deadlines_of_the_architecture_are_those_of_their_parameters():
-    page = read("architecture").partition("### Deadlines")[2]
-    shipped, found = shipped_parameters(), 0
-    for row in (line.split("|") for line in page.splitlines() if line.startswith("| ") and "`" in line):
-        times = [float(number) * SCALES.get(unit, 1.0) for number, unit in re.findall(r"([\d.]+) (ms|s)\b", row[1])]
-        for name in re.findall(r"`([a-z_.]+)`", row[-2]):
-            ((node, one), *_) = [
-                (n, d) for n, k in SETS.items() for d in declarations(k, "stage." * (n == STAGE)) if d.name == name
-            ]
-            value = shipped[node].get(name.removeprefix("stage."), one.default)
-            in_time = value / shipped[STAGE]["rate"] if one.unit == "samples" else value
-            assert any(in_time == pytest.approx(time) for time in times) or one.default in times, name
-            found += 1
-    assert found > 3
-
-
 def test_the_parameters_that_change_while_a_node_runs_are_those_of_the_table():
     table = read("cell").partition("## Changes while it runs\n")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| (\w+) \| (.*?) \|", table, re.MULTILINE)
