@@ -101,12 +101,6 @@ def loaded_by(path):
     return found
 
 
-def test_every_module_that_the_page_names_exists():
-    named = modules_in(ARCHITECTURE)
-    assert len(named) > 30
-    assert [name for name in named if not (SOURCE / name).is_file()] == []
-
-
 def test_each_step_of_a_sample_is_done_by_modules_of_its_process():
     steps = re.findall(r"^\| \d+ \| (\w+) \| (.*)", PATH_OF_A_SAMPLE, re.MULTILINE)
     loaded = {node: loaded_by(SOURCE / "nodes" / f"{node}_node.py") for node, _ in steps}

@@ -214,8 +214,8 @@ def test_every_link_inside_leads_somewhere_and_every_file_of_ours_that_is_named_
         assert file.exists(), target
         assert not anchor or anchor in _anchors(file), f"{target}#{anchor}"
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    folders = "straightcomp_ros|test|scripts|docs|config|control|model|nodes|bags|hardware|straightness"
-    for name in re.findall(rf"`((?:{folders})/[\w/]+\.\w+)`", text):
+    folders = ["straightcomp_ros", "test", "scripts", "docs", "config", *(path.name for path in SOURCE.glob("*/"))]
+    for name in re.findall(rf"`((?:{'|'.join(folders)})/[\w/]+\.\w+)`", text):
         assert any((root / name).exists() for root in (REPOSITORY, REPOSITORY / "straightcomp_ros")), name
 
 
