@@ -47,7 +47,7 @@ def test_two_values_of_a_parameter_are_measured_in_turns_and_only_json_is_printe
 
 @pytest.mark.live
 def test_the_graph_is_at_work_again_after_every_kind_of_action_and_nothing_is_lost(tmp_path):
-    # A process of its own: the run takes real-time priority.
+    # A process of its own: the run changes its environment.
     words = ["soak", "--minutes", "1", "--seed", "4", "--output", str(tmp_path / "soak")]
     command = [sys.executable, "-m", "trials", *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600)
