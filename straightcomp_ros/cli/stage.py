@@ -3,7 +3,6 @@
 import argparse
 import itertools
 import math
-import os
 import sys
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -81,16 +80,19 @@ def _new(options: argparse.Namespace) -> None:
             raise CommandFailed(f"{path}: is there already; name another folder, or give --force", exit_code=2)
     x = [run.x for run in read_survey(source, min_points=guide.min_points, max_gap=guide.max_gap).runs]
     first, last = max(float(one[0]) for one in x), min(float(one[-1]) for one in x)
+    made = [one for one in (options.folder, *options.folder.parents) if not one.exists()]
     # Before the questions: no answers are lost where it cannot be made.
-    there = next(one for one in (options.folder, *options.folder.parents) if one.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK)):
-        raise CommandFailed(f"DIR {options.folder}: cannot be made in {there}; name another folder", exit_code=2)
-    found = {"name": options.folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
-    # What survey, folder and --set give is refused before anything is asked.
-    from_mapping(StageParameters, {**found, **given})
-    if sys.stdin.isatty() and not options.yes:
-        given = _answered(found, given)
-    output_folder("DIR", str(options.folder))
+    folder = output_folder("DIR", str(options.folder))
+    found = {"name": folder.resolve().name, "motion.start": first, "motion.stroke": last - first}
+    try:
+        # What survey, folder and --set give is refused before anything is asked.
+        from_mapping(StageParameters, {**found, **given})
+        if sys.stdin.isatty() and not options.yes:
+            given = _answered(found, given)
+    except BaseException:
+        for one in made:
+            one.rmdir()
+        raise
     values = {**found, **given, "guide.file": SURVEY}
     if not (survey.exists() and survey.samefile(source)):
         write_whole(survey, source.read_bytes())
