@@ -3,7 +3,6 @@
 import math
 import os
 import time
-from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from http.client import HTTPConnection, HTTPException
@@ -59,14 +58,6 @@ def cores(begin: Usage, end: Usage) -> dict[str, float]:
     return {name: (end.cpu[name] - begin.cpu[name]) / seconds for name in begin.cpu}
 
 
-def growth_mb_per_hour(looks: Sequence[Usage]) -> dict[str, float]:
-    """Slope of each process's memory over all looks (least squares), MB/h; NaN with fewer than two."""
-    if len(looks) < 2:
-        return dict.fromkeys(looks[0].rss_mb, float("nan"))
-    hours = [(look.time_ns - looks[0].time_ns) / 3.6e12 for look in looks]
-    return {name: float(np.polyfit(hours, [look.rss_mb[name] for look in looks], 1)[0]) for name in looks[0].rss_mb}
-
-
 _PERCENTS = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -118,7 +109,6 @@ _REST_S = 1.0
 """Time after the window in which its last samples are answered and recorded."""
 _PAUSE_S = 0.5
 _AGAIN_S = 0.2
-_LOOK_INTERVAL_S = 10.0
 _FORGIVING = {
     "simulated.command_timeout": 1.0,
     "watch.y_limit": 0.1,
@@ -132,12 +122,6 @@ _PATIENT = {"recoveries": 1_000_000, "sample_timeout": 60.0, "heartbeat_timeout"
 
 class BenchFailed(RuntimeError):
     """The measurement failed; the message names the node and the reason."""
-
-
-def look_times(begin: float, seconds: float) -> list[float]:
-    """When to look at the processes in a window of these ``seconds`` from ``begin`` on: at both ends, and now and then
-    between them."""
-    return [*(begin + np.arange(0.0, seconds, _LOOK_INTERVAL_S)).tolist(), begin + seconds]
 
 
 def bench_parameters(
@@ -218,37 +202,29 @@ def measure(
     progress: Callable[[float], None],
     programs: Mapping[str, Sequence[str]] | None = None,
     composed: bool = False,
-) -> tuple[dict[str, Any], dict[str, float]]:
+) -> dict[str, Any]:
     """Run the graph once with the parameters of :func:`bench_parameters` for the same ``seconds``, and measure it.
 
     Bag, logs and parameter file go to ``folder``, which must not hold a bag. ``progress`` is called with the finished
-    fraction of the stage's motion; ``programs`` are further ones to run, by name. BenchFailed if a node died or the
-    bag cannot be read.
-
-    Returns:
-        The figures by name as `straightcomp bench graph --json` prints them; and the slope of each node's memory in
-        MB/h, meaningful only over many minutes.
+    fraction of the stage's motion; ``programs`` are further ones to run, by name. Returns the figures by name as
+    `straightcomp bench graph --json` prints them; BenchFailed if a node died or the bag cannot be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
     bag, parameter_file = folder / "bag", folder / "parameters.yaml"
     parameter_file.write_text(as_parameter_file(values))
     duration = forward_and_back(node_parameters("cell", values).stage.motion)[-1].time_ns * 1e-9
     process_ids: dict[str, int] = {}
-    looks, due, recorded_at = list[Usage](), list[float](), math.inf
+    looks, due = list[Usage](), list[float]()
 
     def follow(fraction: float) -> bool:
-        nonlocal recorded_at
+        """Look at both ends of the window; the cycle may end when the window's last samples are recorded."""
         now = time.monotonic()
-        if not looks and not due:
-            due.extend(look_times(now + _SETTLE_S, seconds))
-        if due and now >= due[0]:
+        if not due:
+            due.extend(now + after for after in (_SETTLE_S, _SETTLE_S + seconds, _SETTLE_S + seconds + _REST_S))
+        if len(looks) < 2 and now >= due[len(looks)]:
             looks.append(usage(process_ids))
-            del due[: bisect(due, now)]
-            if not due:
-                # By then the window's last samples are answered and recorded.
-                recorded_at = now + _REST_S
         progress(fraction)
-        return now >= recorded_at
+        return now >= due[-1]
 
     try:
         run_cycle(
@@ -261,7 +237,7 @@ def measure(
             programs=programs,
             composed=composed,
         )
-        begin, end = looks[0], looks[-1]
+        begin, end = looks
         recording = read_window(bag, begin.time_ns, end.time_ns)
         reports = read_reports(bag)
     except (LaunchError, BagError, OSError) as error:
@@ -279,4 +255,4 @@ def measure(
         "stalls": sum(one.stalls for one in timing.values()),
         "cpu_cores": sum(cpu_cores.values()),
         "seconds": (end.time_ns - begin.time_ns) * 1e-9,
-    }, growth_mb_per_hour(looks)
+    }

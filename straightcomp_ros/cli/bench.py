@@ -34,9 +34,8 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
     add("--rate", type=int, metavar="HZ", help="samples per second (default: the stage's)")
-    add("--seconds", type=float, default=20.0, help="length of the window (default: %(default)s)")
-    soak = "use a window of this many minutes, to see whether memory grows; the bag takes about 1 MB/s"
-    add("--soak", type=float, metavar="MINUTES", help=soak)
+    seconds = "length of the window (default: %(default)s); the bag takes about 1 MB/s"
+    add("--seconds", type=float, default=20.0, help=seconds)
     priority = "run all nodes at SCHED_FIFO priority N (default: normal scheduling; formerly --fifo)"
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
     against = "repeat with this parameter, e.g. controller.trigger=timer, and print the ratio of both"
@@ -61,9 +60,6 @@ def _graph(options: argparse.Namespace) -> None:
     require_ros()
     check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
     seconds = options.seconds
-    if options.soak is not None:
-        check_range("--soak", options.soak, _SHORTEST_S / 60.0, _LONGEST_S / 60.0)
-        seconds = 60.0 * options.soak
     given, asked = chosen_parameters(options), {"rate": options.rate, "seconds": seconds, "priority": options.priority}
     values = bench_parameters(given, **asked)
     kinds = {"graph": partial(measure, values)}
@@ -82,11 +78,9 @@ def _graph(options: argparse.Namespace) -> None:
                 place = kept.absolute() / (f"{name}_{number}" if options.rounds > 1 else name)
                 try:
                     with working(f"measuring {name}") as advance:
-                        measured[name], growth = measure_kind(folder=place, seconds=seconds, progress=advance)
+                        measured[name] = measure_kind(folder=place, seconds=seconds, progress=advance)
                 except BenchFailed as error:
                     raise CommandFailed(f"{name}: {error}") from error
-                if name == "graph" and options.soak is not None:
-                    measured[name]["soak"] = {"minutes": options.soak, "growth_mb_per_hour": growth}
             rounds.append(measured)
     middle = {name: medians([one[name] for one in rounds]) for name in kinds}
     others = {name: rounds[0][name] for name in kinds if name != "graph"}
@@ -122,9 +116,6 @@ def ratios(figures: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, fl
 def _print_graph(figures: Mapping[str, Any], options: argparse.Namespace, rate: int) -> None:
     scheduling = f"SCHED_FIFO {options.priority}" if options.priority else "normal scheduling"
     _print_measurement(figures, f"Graph at {rate} Hz, {scheduling}, {figures['seconds']:.1f} s; late in µs")
-    if "soak" in figures:
-        growth = figures["soak"]["growth_mb_per_hour"]
-        console.print("growth of memory [MB/h]: " + ", ".join(f"{node} {slope:.1f}" for node, slope in growth.items()))
     words = {
         "against": f"With {', '.join(options.against)}",
         "composed": "Driver, feedforward and controller in one process",
@@ -154,8 +145,9 @@ def _print_measurement(figures: Mapping[str, Any], title: str) -> None:
         values = figures[node]
         late = (rounded(values["timer_error_us"][key]) for key in ("p50", "p99", "max"))
         missed = (str(values[key]) for key in ("overruns", "stalls"))
-        cpu, memory = rounded(values["cpu_cores"], 2), rounded(values["rss_mb"][-1])
-        table.add_row(node, rounded(values["rate_hz"]), *missed, *late, cpu, memory)
+        begin, end = values["rss_mb"]
+        memory = "–" if end is None else f"{end:.0f} {end - begin:+.0f}"
+        table.add_row(node, rounded(values["rate_hz"]), *missed, *late, rounded(values["cpu_cores"], 2), memory)
     console.print(table)
     latency, bag = figures["latency_us"], figures["bag"]
     shown = ", ".join(f"{name} {rounded(latency[key])}" for name, key in _LATENCY_WORDS.items())

@@ -85,7 +85,6 @@ CASES = [
     (f"replay {SMC} --set controller.control.lwa=smc", "did you mean 'control.law'"),
     ("bench step --repeats 0", "--repeats 0; allowed: 1 to 10000"),
     ("bench graph --seconds 0.1", "--seconds 0.1; allowed: 2 to 86400"),
-    ("bench graph --soak nan", "--soak nan; allowed: 0.03333 to 1440"),
     ("bench graph --against logger.sync_interval=-1", "'sync_interval': -1.0 s is too small"),
     ("bench graph --against sync=1", "allowed: NODE.NAME=VALUE"),
     ("demo --opcua --lockstep", "--opcua runs in real time; allowed without --lockstep"),
