@@ -8,7 +8,6 @@ so the percentiles of a long time follow from the histograms of its seconds; per
 from __future__ import annotations
 
 import os
-import weakref
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -131,24 +130,23 @@ class StampGaps:
         self._last_ns = _NEVER_NS
 
 
-class ThreadWaits:
-    """How long the threads of this process wait for a CPU; several :class:`CpuWait` share its looks.
+class CpuWait:
+    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
 
     Linux's scheduler counts it for each thread (the second number in ``/proc/PID/task/TID/schedstat``), without the
-    time that a hypervisor takes from the whole machine. A system without these counts reports no wait.
+    time that a hypervisor takes from the whole machine. A system without these counts reports no wait. Short waits
+    between two looks add up: look often to distinguish one long wait from many short ones.
     """
 
     def __init__(self, threads: Path = Path("/proc/self/task")) -> None:
         self._threads = threads
         self._files: dict[str, BinaryIO] = {}
         self._waited_ns: dict[str, int] = {}
-        self._turn = 0
-        self.readers: weakref.WeakSet[CpuWait] = weakref.WeakSet()
+        self._longest_ns = 0
 
     def look(self) -> None:
-        """Read how long the threads have waited since the last look at them: each reader's look is at its share."""
-        longest_ns, self._turn = 0, self._turn + 1
-        for thread, file in list(self._files.items())[self._turn % len(self.readers) :: len(self.readers)]:
+        """Read how long the threads have waited since the last look."""
+        for thread, file in list(self._files.items()):
             try:
                 waited_ns = int(os.pread(file.fileno(), 100, 0).split()[1])
             except (OSError, IndexError, ValueError):
@@ -156,40 +154,15 @@ class ThreadWaits:
                 self._files.pop(thread).close()
                 self._waited_ns.pop(thread, None)
                 continue
-            longest_ns = max(longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
+            self._longest_ns = max(self._longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
             self._waited_ns[thread] = waited_ns
-        for reader in self.readers:
-            reader.longest_ns = max(reader.longest_ns, longest_ns)
 
-    def find(self) -> None:
-        """Include the threads that have started since the last call."""
+    def take_us(self) -> float:
+        """The longest wait since the last call, in µs; threads started since then are included from now on."""
         with suppress(OSError):
             for thread in set(os.listdir(self._threads)) - set(self._files):
                 with suppress(OSError):
                     self._files[thread] = (self._threads / thread / "schedstat").open("rb")
-
-
-_OWN = ThreadWaits()
-
-
-class CpuWait:
-    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
-
-    Short waits between two looks add up: look often to distinguish one long wait from many short ones.
-    """
-
-    def __init__(self, waits: ThreadWaits = _OWN) -> None:
-        self._waits = waits
-        self.longest_ns = 0
-        waits.readers.add(self)
-
-    def look(self) -> None:
-        """Look at this node's share of the threads."""
-        self._waits.look()
-
-    def take_us(self) -> float:
-        """The longest wait since the last call, in µs; threads started since then are included from now on."""
-        self._waits.find()
-        self._waits.look()
-        longest_ns, self.longest_ns = self.longest_ns, 0
+        self.look()
+        longest_ns, self._longest_ns = self._longest_ns, 0
         return longest_ns * 1e-3
