@@ -44,7 +44,8 @@ class CommandIntake:
     ) -> None:
         self._hardware, self._timeout_ns, self._trip = hardware, timeout_ns, trip
         self.current_limit = current_limit
-        # The command for an older sample is stale anyway. A board's clock may be faster than its nominal period.
+        # Newest first: that is the one to be found. The command for an older sample than these is stale anyway. A
+        # board's clock may be faster than its nominal period.
         self._recent: deque[int] = deque(maxlen=timeout_ns // period_ns + _SPARE)
         self._commands = self._stale = self._foreign = 0
         self._latency = math.nan
@@ -55,21 +56,16 @@ class CommandIntake:
         """Forget samples and commands: sampling begins, or a fault is cleared."""
         self.stamp_ns = 0
         self._recent.clear()
-        self._handed_out: set[int] = set()
         self._repeats_ns: deque[int] = deque(maxlen=_REPEATS)
 
     def hand_out(self, stamp_ns: int) -> None:
         """A sample is about to be published; stamps rise."""
-        recent = self._recent
-        if len(recent) == recent.maxlen:
-            self._handed_out.discard(recent[0])
-        recent.append(stamp_ns)
-        self._handed_out.add(stamp_ns)
+        self._recent.appendleft(stamp_ns)
 
     def accept(self, stamp_ns: int, current: float, arrival_ns: int) -> None:
         """Handle a command of ``current`` in A for the sample of ``stamp_ns``, received at ``arrival_ns``."""
         age_ns = arrival_ns - stamp_ns
-        if stamp_ns not in self._handed_out:
+        if stamp_ns not in self._recent:
             self._refuse(stamp_ns, current)
         elif stamp_ns <= self.stamp_ns:
             self._stale += 1
@@ -88,14 +84,14 @@ class CommandIntake:
 
     def _refuse(self, stamp_ns: int, current: float) -> None:
         """Handle a command whose stamp is of no recent sample."""
-        oldest_ns = self._recent[0] if self._recent else math.inf
+        oldest_ns = self._recent[-1] if self._recent else math.inf
         if self.stamp_ns < stamp_ns < oldest_ns:
             # A controller that was stopped answers what it received before, perhaps from a driver that has ended.
             self._stale += 1
             return
         self._foreign += 1
         if self.is_good(current):
-            to_newest = (stamp_ns - self._recent[-1]) * 1e-9 if self._recent else math.nan
+            to_newest = (stamp_ns - self._recent[0]) * 1e-9 if self._recent else math.nan
             words = f"a command for a sample that this driver did not take ({to_newest:+.6g} s from its newest)"
             self._trip(Fault.TWO_CONTROLLERS, f"{words}: another node publishes commands, or a second driver samples")
 
