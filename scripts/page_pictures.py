@@ -30,7 +30,7 @@ from straightcomp_ros.cli.main import main as straightcomp
 from straightcomp_ros.contract import ENCODER, POSITION, POSITION_EVERY
 from straightcomp_ros.nodes.view_node import SHOWN, SLOT_S
 from straightcomp_ros.safety.faults import Fault, explained
-from straightcomp_ros.view.page_server import Board, Series, ViewServer, distribution
+from straightcomp_ros.view.page_server import Series, ViewServer, distribution
 from trials.incidents import record_fault
 from trials.wear import stroke_pool, write_store
 
@@ -158,9 +158,9 @@ def docs(folder: Path) -> str:
     return (folder / "site" / "safety.html").as_uri()
 
 
-def shown_board(**other: Any) -> tuple[Board, dict[str, list[tuple[int, float]]]]:
-    """A board of the live view without samples, and those of the bag by series; ``other`` than the usual state."""
-    board = Board({name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()})
+def shown_view(**other: Any) -> tuple[ViewServer, dict[str, list[tuple[int, float]]]]:
+    """A live view without samples, and those of the bag by series; ``other`` than the usual state."""
+    server = ViewServer(0, {name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()}, {})
     streams = {ENCODER if stream is POSITION else stream for stream, *_ in SHOWN.values()}
     columns, samples = read_streams(BAG, {one.topic: one.layout for one in streams}), {}
     for name, (stream, column, _) in SHOWN.items():
@@ -184,29 +184,29 @@ def shown_board(**other: Any) -> tuple[Board, dict[str, list[tuple[int, float]]]
         "faults": [],
         "nodes": {name: node for name in ("driver", "feedforward", "controller", "logger")},
     }
-    board.show(state | other)
-    return board, samples
+    server.show(state | other)
+    return server, samples
 
 
 def view(_: Path) -> str:
     """The live view, with the last 20 s of the bag and a fault."""
     fault = explained(f"{Fault.Y_OUT_OF_RANGE.label}: y = 412.3 µm; allowed: within ±400 µm ('watch.y_limit')")
-    board, samples = shown_board(amplifier_on=False, faults=[{"node": "driver", **fault}])
+    server, samples = shown_view(amplifier_on=False, faults=[{"node": "driver", **fault}])
     for name, found in samples.items():
-        board.add(name, found)
-    return ViewServer(0, board, {}).url
+        server.add(name, found)
+    return server.url
 
 
 def moving(browser: Browser, file: Path) -> None:
     """The live view of the stroke in the bag, from its first to its last sample, as an animated picture."""
-    board, samples = shown_board()
+    server, samples = shown_view()
     browser.show(*_MOVING)
-    browser.ask("Page.navigate", url=ViewServer(0, board, {}).url)
+    browser.ask("Page.navigate", url=server.url)
     browser.wait_for("document.readyState == 'complete'")
     frames, begin, end = [], samples["x"][0][0], samples["x"][-1][0]
     for until in range(begin + _FRAME_NS, end, _FRAME_NS):
         for name, found in samples.items():
-            board.add(name, [one for one in found if until - _FRAME_NS <= one[0] < until])
+            server.add(name, [one for one in found if until - _FRAME_NS <= one[0] < until])
         time.sleep(_DRAWN_S / 3)
         frames.append(Image.open(io.BytesIO(browser.shot())).convert("RGB"))
     how = {"duration": round(_FRAME_NS * 1e-6), "loop": 0, "quality": 40, "method": 0}

@@ -18,7 +18,7 @@ from straightcomp_ros.safety.faults import explained
 from straightcomp_ros.stage.due_maintenance import due_maintenance
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, RATE
 from straightcomp_ros.timing.realtime import RealtimeParameters
-from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer, distribution
+from straightcomp_ros.view.page_server import ActionRefused, Series, ViewServer, distribution
 
 _FETCH_S = 0.05
 SLOT_S = 0.02
@@ -63,7 +63,6 @@ class ViewNode(Runnable):
         self._maintenance, self._due = maintenance, ""
         self.node, self.done, self.realtime = node, Future(), realtime
         self._graph = GraphClient(node, RECORDED, batches=(CONTROLLER_STATE, DRIVER_STATE, REFERENCE))
-        self._board = Board({name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()})
         self._driver = RemoteParameters(node, ("driver",))
         self._latencies: deque[float] = deque(maxlen=_LATENCIES)
         self._distribution: dict[str, object] = {}
@@ -77,7 +76,8 @@ class ViewNode(Runnable):
         self._own, self._on = False, False
         """Whether a page switched the amplifier on, and whether it was seen on since."""
         self._look = node.create_timer(_ALONE_S, self._say_if_alone)
-        self._server = ViewServer(port, self._board, buttons)
+        series = {name: Series(SLOT_S, factor) for name, (*_, factor) in SHOWN.items()}
+        self._server = ViewServer(port, series, buttons)
         node.create_timer(_FETCH_S, self._fetch)
         ready(self._server.url)
 
@@ -87,7 +87,7 @@ class ViewNode(Runnable):
         fetched = self._graph.fetch()
         for name, (stream, column, _) in SHOWN.items():
             place = stream.layout.columns.index(column)
-            self._board.add(name, [(stamp_ns, numbers[place]) for stamp_ns, numbers, _ in fetched[stream]])
+            self._server.add(name, [(stamp_ns, numbers[place]) for stamp_ns, numbers, _ in fetched[stream]])
         place = DRIVER_STATE.layout.columns.index("command_latency")
         self._latencies.extend(n[place] for _, n, _ in fetched[DRIVER_STATE] if math.isfinite(n[place]))
         if self._fetches % _SUMMARY_EVERY == 0:
@@ -123,7 +123,7 @@ class ViewNode(Runnable):
         if driver:
             self._graph.strokes.expect(driver["stage.motion.speed"], driver["stage.encoder.x_resolution"])
         named = f"stage “{driver['stage.name']}”, hardware {driver['hardware']}" if driver else ""
-        self._board.show(
+        self._server.show(
             {
                 "stage": named,
                 "due_us": 1e6 * driver["stage.drive.delay"] / driver["stage.rate"] if driver else None,

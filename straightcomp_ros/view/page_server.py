@@ -98,35 +98,10 @@ def distribution(times: Sequence[float]) -> dict[str, object]:
     return {"edges": edges.tolist(), "counts": counts, "p50": p50, "p99": p99, "max": most}
 
 
-class Board:
-    """All series by name and the present state, written by one thread and read by those that serve pages."""
-
-    def __init__(self, series: dict[str, Series]) -> None:
-        self._series = series
-        self._state: dict[str, object] = {}
-        self._lock = threading.Lock()
-
-    def add(self, name: str, samples: Sequence[tuple[int, float]]) -> None:
-        with self._lock:
-            self._series[name].add(samples)
-
-    def show(self, state: dict[str, object]) -> None:
-        with self._lock:
-            self._state = state
-
-    def news(self, seen: dict[str, int]) -> dict[str, object]:
-        """State, and what each series has after the slot that ``seen`` names, which is then brought up to date."""
-        with self._lock:
-            fresh = {}
-            for name, series in self._series.items():
-                fresh[name] = slots = series.after(seen.get(name, -1))
-                if slots:
-                    seen[name] = int(slots[-1][0])
-            return {"state": self._state, "series": fresh}
-
-
 class ViewServer(ThreadingHTTPServer):
-    """Serves the page, what the board shows, and the buttons' actions by name, on a thread for each connection.
+    """Serves the page, all series by name, the present state, and the buttons' actions by name.
+
+    A thread for each connection reads what the thread that made the server adds and shows.
 
     Raises:
         OSError: the TCP port on 127.0.0.1 cannot be had; port 0 takes a free one.
@@ -137,9 +112,11 @@ class ViewServer(ThreadingHTTPServer):
     request_queue_size = 64
     """With the 5 of the standard library a page among many slow clients would wait for TCP's retries of seconds."""
 
-    def __init__(self, port: int, board: Board, actions: Mapping[str, Action]) -> None:
+    def __init__(self, port: int, series: Mapping[str, Series], actions: Mapping[str, Action]) -> None:
         super().__init__(("127.0.0.1", port), _Handler)
-        self.board, self.actions = board, dict(actions)
+        self._series, self.actions = series, dict(actions)
+        self._state: dict[str, object] = {}
+        self._shown = threading.Lock()
         self.token = secrets.token_urlsafe(16)
         page = files(__package__).joinpath("page.html").read_text(encoding="utf-8")
         self.page = page.replace("/*STYLE*/", SHEET).encode()
@@ -153,6 +130,24 @@ class ViewServer(ThreadingHTTPServer):
     def url(self) -> str:
         """The page, with the token; the part behind the # stays in the browser."""
         return f"http://127.0.0.1:{self.server_port}/#{self.token}"
+
+    def add(self, name: str, samples: Sequence[tuple[int, float]]) -> None:
+        with self._shown:
+            self._series[name].add(samples)
+
+    def show(self, state: dict[str, object]) -> None:
+        with self._shown:
+            self._state = state
+
+    def news(self, seen: dict[str, int]) -> dict[str, object]:
+        """State, and what each series has after the slot that ``seen`` names, which is then brought up to date."""
+        with self._shown:
+            fresh = {}
+            for name, series in self._series.items():
+                fresh[name] = slots = series.after(seen.get(name, -1))
+                if slots:
+                    seen[name] = int(slots[-1][0])
+            return {"state": self._state, "series": fresh}
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """One connection too many ends the oldest that gets no news, or else the oldest: a client that is slow or
@@ -241,7 +236,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, "text/event-stream")
         seen: dict[str, int] = {}
         while not self.server.stopping.wait(_NEWS_EVERY_S):
-            text = json.dumps(plain(self.server.board.news(seen)), separators=(",", ":"), allow_nan=False)
+            text = json.dumps(plain(self.server.news(seen)), separators=(",", ":"), allow_nan=False)
             self.wfile.write(f"data: {text}\n\n".encode())
 
     def _answer(self, status: HTTPStatus, message: str) -> None:

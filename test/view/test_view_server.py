@@ -17,7 +17,7 @@ from straightcomp_ros.analysis.style import BLUE, SHEET
 from straightcomp_ros.cell.observation import Observation, StrokeErrors
 from straightcomp_ros.nodes import view_node
 from straightcomp_ros.timing.realtime import RealtimeParameters
-from straightcomp_ros.view.page_server import ActionRefused, Board, Series, ViewServer, distribution
+from straightcomp_ros.view.page_server import ActionRefused, Series, ViewServer, distribution
 
 MS = 1_000_000
 
@@ -29,8 +29,9 @@ def server():
     def refuse():
         raise ActionRefused("a fault is latched")
 
-    board = Board({"error": Series(0.02, 1e6)})
-    made = ViewServer(0, board, {"enable": refuse, "reset": lambda: pressed.append("reset") or "faults reset"})
+    made = ViewServer(
+        0, {"error": Series(0.02, 1e6)}, {"enable": refuse, "reset": lambda: pressed.append("reset") or "faults reset"}
+    )
     made.pressed = pressed
     yield made
     made.close()
@@ -95,10 +96,10 @@ def test_the_page_reads_what_the_view_says_of_rest_and_of_the_time_between_posit
     strokes, shown = StrokeErrors(), []
     graph = Mock(strokes=strokes, **{"reports.return_value": {}, "observation.return_value": Observation()})
     driver = defaultdict(float, {"stage.rate": rate, "stage.motion.speed": 2e-4, "stage.encoder.x_resolution": 1e-7})
-    stand_ins = {"GraphClient": graph, "RemoteParameters": Mock(values={"driver": driver}), "ViewServer": Mock()}
+    stand_ins = {"GraphClient": graph, "RemoteParameters": Mock(values={"driver": driver})}
+    stand_ins["ViewServer"] = Mock(show=shown.append)
     for name, stand_in in stand_ins.items():
         monkeypatch.setattr(view_node, name, Mock(return_value=stand_in))
-    monkeypatch.setattr(view_node, "Board", Mock(return_value=Mock(show=shown.append)))
     view_node.ViewNode(Mock(), 0, Mock(), RealtimeParameters(), "", None)._show()
     read = set(re.findall(r"\bstate\.(\w+)", ask(server, "GET", "/")[2].decode()))
     assert {"rest", "gap"} <= read <= shown[0].keys()
@@ -112,8 +113,8 @@ def test_the_distribution_of_latencies_counts_each_once():
 
 
 def test_news_hold_the_state_and_each_slot_once(server):
-    server.board.show({"fresh": True, "x_mm": float("nan")})
-    server.board.add("error", [(1000 * MS + k * MS, 1e-6 * k) for k in range(100)])
+    server.show({"fresh": True, "x_mm": float("nan")})
+    server.add("error", [(1000 * MS + k * MS, 1e-6 * k) for k in range(100)])
     first, second = news(server, 2)
     assert first["state"] == {"fresh": True, "x_mm": None}
     assert [slot[2:] for slot in first["series"]["error"]] == [[0, 19], [20, 39], [40, 59], [60, 79]]
@@ -155,7 +156,7 @@ def test_a_page_gets_in_however_many_others_are_open(server):
 )
 def test_clients_that_are_slow_end_before_a_page_that_gets_news(server, said):
     # News of some kilobytes, to read past those that were sent before the slow clients came.
-    server.board.show({"filler": "x" * 4096})
+    server.show({"filler": "x" * 4096})
     with ExitStack() as connections:
         watched = connections.enter_context(opened(server))
         for one in [socket.create_connection(("127.0.0.1", server.server_port)) for _ in range(40)]:
@@ -184,11 +185,9 @@ def test_a_slot_has_the_least_and_the_greatest_value_and_comes_once(factor, valu
     assert series.after(-1) == [[0, 0.0, *slot]] and series.after(0) == []
 
 
-def test_a_source_that_starts_anew_is_sent_from_its_start():
-    board = Board({"x": Series(0.02, 1.0)})
+def test_a_source_that_starts_anew_is_sent_from_its_start(server):
     seen = {}
-    board.add("x", [(k * MS, 1.0) for k in range(5000, 5100)])
-    assert len(board.news(seen)["series"]["x"]) == 4
-    board.add("x", [(k * MS, 1.0) for k in range(0, 100)])
-    assert len(board.news(seen)["series"]["x"]) == 4
-    assert board.news(seen)["series"]["x"] == []
+    for begin in (5000, 0):
+        server.add("error", [(k * MS, 1.0) for k in range(begin, begin + 100)])
+        assert len(server.news(seen)["series"]["error"]) == 4
+    assert server.news(seen)["series"]["error"] == []
