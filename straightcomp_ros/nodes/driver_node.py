@@ -16,7 +16,6 @@ from straightcomp_ros.contract import (
     ENCODER,
     POSITION,
     POSITION_EVERY,
-    STAGE,
     STAGE_STATE,
     STAGE_TRAJECTORY,
     TRUTH,
@@ -101,7 +100,7 @@ class DriverComponent:
         node.offer(SetBool, "~/hold", self._on_hold, HardwareError)
         node.offer(Trigger, "~/end_motion", self._on_end_motion, HardwareError)
         node.offer(Trigger, "~/home", self._on_home, HardwareError, ValueError)
-        self._action = TrajectoryAction(node, STAGE, self._begin_goal, partial(self._ask_pace, end=True))
+        self._action = TrajectoryAction(node, self._begin_goal, partial(self._ask_pace, end=True))
         self._blend = parameters.blend
         self._stage_state = node.create_publisher(DiagnosticStatus, STAGE_STATE, LATCHED)
         self._reported_stage: StageState | None = None
@@ -350,7 +349,7 @@ class DriverComponent:
         if not self._node.active:
             return
         try:
-            self._begin(read_by_stamp(message, STAGE))
+            self._begin(read_by_stamp(message))
         except (ValueError, HardwareError) as error:
             self._refused.log(error)
 

@@ -13,6 +13,7 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.serialization import serialize_message
 
+from straightcomp_ros.contract import STAGE
 from straightcomp_ros.hardware.interface import HardwareError
 from straightcomp_ros.messages.joint_trajectory import read_trajectory
 from straightcomp_ros.model.motion import Trajectory
@@ -33,16 +34,16 @@ except ImportError:
     FollowJointTrajectory = None
 
 
-def read_by_stamp(message: bytes, joint: str) -> Trajectory:
-    """The trajectory of ``joint`` in a JointTrajectory, from now on: by its stamp it may begin later. ValueError if it
+def read_by_stamp(message: bytes) -> Trajectory:
+    """The stage's trajectory in a JointTrajectory, from now on: by its stamp it may begin later. ValueError if it
     cannot be read, or its time is over."""
-    stamp_ns, (times, *rest) = read_trajectory(message, joint)
+    stamp_ns, (times, *rest) = read_trajectory(message, STAGE)
     # A stamp is of the system's clock, as other programs read it now, not of the one that never steps.
     return Trajectory.from_columns(times + begins_after(stamp_ns, int(times.max(initial=0)), time.time_ns()), *rest)
 
 
 class TrajectoryAction:
-    """The action ``~/follow_joint_trajectory`` of ``node`` for one joint; nothing where control_msgs is not installed.
+    """The action ``~/follow_joint_trajectory`` of ``node``, for the stage; nothing where control_msgs is not installed.
 
     ``begin`` starts a trajectory with its tolerances and returns what is followed; ValueError or HardwareError if it is
     refused. ``end`` lets the stage come to rest within its limits; HardwareError if it cannot.
@@ -54,11 +55,10 @@ class TrajectoryAction:
     def __init__(
         self,
         node: Any,
-        joint: str,
         begin: Callable[[Trajectory, Tolerances], TrajectoryGoal],
         end: Callable[[], object],
     ) -> None:
-        self._node, self._joint, self._begin, self._end = node, joint, begin, end
+        self._node, self._begin, self._end = node, begin, end
         self._refused = ThrottledWarning(node, "a goal is refused")
         self.goal: TrajectoryGoal | None = None
         self._handle: Any = None
@@ -80,9 +80,9 @@ class TrajectoryAction:
         set_executing(handle)
         request = handle.request
         try:
-            check_joints(request, self._joint)
-            tolerances = Tolerances.of(request, self._joint)
-            goal = self._begin(read_by_stamp(serialize_message(request.trajectory), self._joint), tolerances)
+            check_joints(request, STAGE)
+            tolerances = Tolerances.of(request, STAGE)
+            goal = self._begin(read_by_stamp(serialize_message(request.trajectory)), tolerances)
         except (ValueError, HardwareError) as error:
             self._refused.log(error)
             self._answer(handle, Outcome("abort", getattr(error, "code", INVALID_GOAL), f"refused: {error}"))
@@ -109,7 +109,7 @@ class TrajectoryAction:
         """Publish where the stage is and was to be, m, and how the goal has ended, if it has."""
         handle, feedback = self._handle, FollowJointTrajectory.Feedback()
         feedback.header.stamp = self._node.get_clock().now().to_msg()
-        feedback.joint_names = [self._joint]
+        feedback.joint_names = [STAGE]
         feedback.desired.positions, feedback.actual.positions = [desired], [x]
         feedback.error.positions = [desired - x]
         handle.publish_feedback(feedback)
