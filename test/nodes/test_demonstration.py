@@ -126,21 +126,6 @@ def test_a_node_that_dies_in_mid_stroke_ends_the_demonstration_with_its_name(
     assert comes_true(lambda: os.sched_getaffinity(0) == usable, 10.0)
 
 
-def test_a_bag_that_is_short_fails_the_demonstration(tmp_path, short_cycle, monkeypatch):
-    evaluate = demonstration.evaluate_bag
-
-    def half(bag):
-        evaluation = evaluate(bag)
-        evaluation.record.time[:] *= 0.5
-        return evaluation
-
-    # The graph itself is in the other tests.
-    monkeypatch.setattr(demonstration, "run_cycle", lambda bag, *_, **__: shutil.copytree(SMC, bag))
-    monkeypatch.setattr(demonstration, "evaluate_bag", half)
-    with pytest.raises(DemonstrationFailed, match="is short"):
-        demonstrate(short_cycle, tmp_path)
-
-
 def test_strokes_of_the_gateway_are_whole_without_settling_times_between_them(tmp_path, short_cycle):
     # By its pauses ten of them take as long as the one in the bag.
     short_cycle["stage"].update({"motion.stroke": 1e-3, "motion.pause": 0.03})

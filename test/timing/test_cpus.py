@@ -12,9 +12,8 @@ from unittest.mock import Mock
 import pytest
 from waiting import comes_true
 
-from straightcomp_ros.timing import cpu_guard, cpus, realtime
+from straightcomp_ros.timing import cpu_guard, cpus
 from straightcomp_ros.timing.cpus import at_normal_priority, claim, claimed, end_loop, loop_cpu, loop_cpus
-from straightcomp_ros.timing.realtime import RealtimeParameters
 
 CPUS = {0, 1, 2, 3}
 SERVER = """
@@ -216,17 +215,6 @@ def test_a_guard_changes_the_bits_of_its_own_cpus_in_a_mask_and_guards_give_back
         for cpus_and_before, then in steps:
             cpu_guard._set_queues(*cpus_and_before)
             assert mask.read_text() == then
-
-
-def test_a_node_reports_what_it_did_or_why_not(monkeypatch):
-    reports = []
-    monkeypatch.setattr(realtime, "keep_others_off", lambda cpus: f"kept off {sorted(cpus)}")
-    assert realtime.apply(RealtimeParameters(exclusive=True), reports.append) == []
-    assert reports == [f"kept off {sorted(os.sched_getaffinity(0))}"]
-    monkeypatch.undo()
-    # Without CPUs of its own it has all of them, or those that another graph on this machine leaves to it.
-    (refusal,) = realtime.apply(RealtimeParameters(exclusive=True), reports.append)
-    assert "other CPU" in refusal and "realtime.cpus" in refusal
 
 
 @pytest.fixture

@@ -104,6 +104,9 @@ def test_memory_sleep_and_other_programs_are_left_alone_unless_asked_for(tmp_pat
     asked = RealtimeParameters(cpus="1", lock_memory=True, keep_awake=True, exclusive=True)
     assert realtime.apply(asked, machine.done.append) == []
     assert machine.done == ["_lock_memory", "_keep_awake", "off [1]"]
+    monkeypatch.setattr(realtime, "keep_others_off", Mock(side_effect=OSError("there is no other CPU")))
+    (refusal,) = realtime.apply(RealtimeParameters(exclusive=True))
+    assert "no other CPU" in refusal and "realtime.cpus" in refusal
     # What a thread of the node's own does holds up no loop.
     started = threading.Event()
     helper = threading.Thread(target=started.wait, daemon=True)
