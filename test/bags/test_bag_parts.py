@@ -12,7 +12,7 @@ from places import REPOSITORY
 from recording import described, record, recorded, sqlite_bag
 
 from straightcomp_ros.bags import BagError, mcap_input
-from straightcomp_ros.bags.folder import SqliteInput, found_beside, found_files, opened
+from straightcomp_ros.bags.folder import SqliteInput, found_files, opened
 from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import (
@@ -150,17 +150,6 @@ def test_files_under_other_names_whose_order_nothing_says_are_several_recordings
     (folder / "b.mcap").write_bytes(content[: len(content) - cut])
     with pytest.raises(BagError, match=r"several recordings \(a\.mcap, b\.mcap\)"):
         found_files(folder)
-
-
-def test_beside_the_files_of_a_bag_are_its_own_metadata_and_the_logs_of_sqlite_that_are_there(tmp_path):
-    names = ["run_0.db3", "run_1.db3"]
-    folder = touched(tmp_path / "bag", *names, "run_1.db3-wal", "other.db3-wal")
-    files, log = [folder / name for name in names], folder / "run_1.db3-wal"
-    assert found_beside(folder, files) == found_beside(files[1], files[1:]) == [log]
-    metadata = described(folder, relative_file_paths=names) / "metadata.yaml"
-    assert found_beside(folder, files) == [metadata, log] and found_beside(files[1], files[1:]) == [log]
-    described(folder, relative_file_paths=names[:1])
-    assert found_beside(files[0], files[:1]) == [metadata]
 
 
 @pytest.mark.parametrize(("suffix", "advised"), [("mcap", True), ("db3", False)])
