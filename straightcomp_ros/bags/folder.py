@@ -128,9 +128,8 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
     lacks.
 
     The order is that of the list in metadata.yaml; without a list, or with one of other names, that of the numbers in
-    the names; of renamed MCAP files without numbers that of their first messages. Raises BagError when there is no
-    file, the files or messages are compressed by rosbag2, or files are of several recordings. Warns (UserWarning) of
-    files that the list does not have, which are left out.
+    the names. Raises BagError when there is no file, the files or messages are compressed by rosbag2, or files are of
+    several recordings. Warns (UserWarning) of files that the list does not have, which are left out.
     """
     bag = Path(bag)
     if not bag.exists():
@@ -160,10 +159,6 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
         return [files[name] for name in listed if name in files], [name for name in listed if name not in files]
     found = sorted(files.values(), key=split_number)
     if not _is_one_recording(files):
-        begun = [_begin(file) for file in found] if len(listed) == len(found) else [None]
-        if None not in begun and len(set(begun)) == len(found):
-            # The files of the list under names of a user.
-            return [file for _, file in sorted(zip(begun, found, strict=True))], []
         raise BagError(f"bag {bag}: the folder holds several recordings ({', '.join(sorted(files))}); give one file")
     # A recording that was killed between making its next file and writing to it leaves an empty one.
     if len(found) > 1 and found[-1].exists() and not found[-1].stat().st_size:
@@ -193,15 +188,6 @@ def _is_one_recording(names: Iterable[str]) -> bool:
     parts = [(*split_number(Path(name)), Path(name).suffix) for name in names]
     recordings, numbers = {(name, suffix) for name, _, _, suffix in parts}, {number for _, number, _, _ in parts}
     return len(parts) == 1 or (len(recordings) == 1 and len(numbers) == len(parts) and min(numbers) >= 0)
-
-
-def _begin(file: Path) -> int | None:
-    """Time of a file's first message, ns; None where the file does not say it."""
-    if file.suffix != ".mcap":
-        return None
-    with McapInput(file) as opened_file:
-        statistics = opened_file.summary.statistics if opened_file.summary else None
-    return statistics.message_start_time if statistics else None
 
 
 def _information(bag: Path) -> Mapping[str, Any]:

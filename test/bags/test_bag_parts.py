@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from places import REPOSITORY
-from recording import described, record, recorded, sqlite_bag
+from recording import described, record, sqlite_bag
 
 from straightcomp_ros.bags import BagError, mcap_input
 from straightcomp_ros.bags.folder import SqliteInput, found_files, opened
@@ -139,17 +139,6 @@ def test_several_recordings_in_a_folder_are_refused_by_their_names(tmp_path, nam
     with pytest.warns(UserWarning, match=names[1]):
         files, _ = found_files(touched(tmp_path / "bag", listed=names[:1]))
     assert [file.name for file in files] == names[:1]
-
-
-@pytest.mark.parametrize("cut", [0, 20])
-def test_files_under_other_names_whose_order_nothing_says_are_several_recordings(tmp_path, cut):
-    content = recorded(tmp_path / "run", 2).file.read_bytes()
-    folder = described(touched(tmp_path / "bag"), relative_file_paths=["run_0.mcap", "run_1.mcap"])
-    # Both begin at once, or the end of one does not say when.
-    (folder / "a.mcap").write_bytes(content)
-    (folder / "b.mcap").write_bytes(content[: len(content) - cut])
-    with pytest.raises(BagError, match=r"several recordings \(a\.mcap, b\.mcap\)"):
-        found_files(folder)
 
 
 @pytest.mark.parametrize(("suffix", "advised"), [("mcap", True), ("db3", False)])

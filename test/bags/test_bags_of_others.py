@@ -333,20 +333,12 @@ def test_the_clock_of_a_recorder_that_is_set_back_leaves_an_sqlite_bag_its_order
 # Files and recordings
 
 
-@pytest.mark.parametrize(
-    ("names", "listed"),
-    [
-        ([f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range(12)], None),
-        (["z.mcap", "a.mcap", "m.mcap"], ["b_0.mcap", "b_1.mcap", "b_2.mcap"]),  # renamed by a user
-    ],
-)
-def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path, names, listed):
+def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path):
     bag = tmp_path / "b"
-    step = -(-len(sample) // len(names))
-    for number, name in enumerate(names):
-        written(sample[number * step : (number + 1) * step], bag / name, parameters=not number)
-    if listed:
-        described(bag, relative_file_paths=listed, compression_mode="")
+    step = -(-len(sample) // 12)
+    for number in range(12):
+        part = sample[number * step : (number + 1) * step]
+        written(part, bag / f"{number}_run_2025_12_17-10_{number:02}_00.mcap", parameters=not number)
     found = audit(bag)
     assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
     assert [place.location for place in bags_in(str(tmp_path))] == [str(bag)]
