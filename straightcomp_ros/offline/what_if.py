@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from straightcomp_ros.analysis.evaluation import BagEvaluation, evaluate_bag
-from straightcomp_ros.analysis.interruption import PAUSE
+from straightcomp_ros.analysis.interruption import PAUSE, Stamps, played
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.analysis.record import ARRIVED, StrokeRecord
+from straightcomp_ros.analysis.record import SHORTEST_STROKE, MetricsError, StrokeRecord
 from straightcomp_ros.analysis.run_verdict import judged_motion, verdict_of
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import parameters_of, replayed_map
@@ -48,7 +48,7 @@ def what_if(
     :func:`~straightcomp_ros.offline.audit.audit`.
 
     Raises:
-        BagError, MetricsError: the bag is refused, or its stage does not move.
+        BagError, MetricsError: the bag is refused, its stage does not move, or the time of its motion is not known.
         ParameterError: a parameter is refused.
         SurveyError: the map is not attached and not found, or is refused.
     """
@@ -59,11 +59,15 @@ def what_if(
     partial = evaluation.partial()
     late = evaluation.stalls, evaluation.latency, evaluation.readings
     verdict = partial or verdict_of(judged_motion(record, record.reference, parameters, evaluation.map, *late))
+    stamps = evaluation.record_stamps
+    moved = np.abs(np.diff(record.x))[np.diff(stamps) >= PAUSE * 1e9]
+    if evaluation.clock_jump or (moved >= SHORTEST_STROKE).any():
+        raise MetricsError(f"bag {bag}: its clock jumped, or samples lack for {PAUSE:g} s in motion: not simulated")
     runs = [Run(record.law, evaluate(record, record.reference, evaluation.map), verdict)]
     with tempfile.TemporaryDirectory() as folder:
         survey = replayed_map(bag, attachments, parameters, Path(folder))
         values = _recorded_values(parameters, evaluation, survey)
-        motion = _recorded_motion(record)
+        motion = _recorded_motion(record, stamps)
         runs.append(_simulated(values, motion))
         if any(changes.values()):
             runs.append(_simulated(by_node(changed(values, changes)), motion))
@@ -101,21 +105,12 @@ def _recorded_values(parameters: Values, evaluation: BagEvaluation, survey: Path
     return values
 
 
-def _recorded_motion(record: StrokeRecord) -> tuple[Trajectory, int]:
-    """The recorded motion of the stage, and the time in ns at which its trajectory starts. In a pause of the recording
-    the stage stands for :data:`PAUSE`, however long it was, or goes its way if that takes longer; where it went on, as
-    behind a jump of the clock in mid-motion, the pause lasts as long as its way."""
-    x = record.x if record.true_x is None else record.true_x
-    steps, way = np.diff(record.time), np.abs(np.diff(x))
+def _recorded_motion(record: StrokeRecord, stamps: Stamps) -> tuple[Trajectory, int]:
+    """The recorded motion of the stage at ``stamps`` (n,) in ns, with the time of :func:`played`, and the time in ns at
+    which its trajectory starts."""
+    x, time = record.x if record.true_x is None else record.true_x, played(stamps) * 1e-9
     last = len(x) - 1
-    step = min(max(round(_WAYPOINT_EVERY / float(np.median(steps))), 1), last)
-    fastest = np.max(np.abs(x[step:] - x[:-step]) / (record.time[step:] - record.time[:-step]))
-    # A stage that is pushed, or whose encoder drifts, may stand elsewhere behind a pause at rest.
-    stood = (way < ARRIVED) | (np.append(np.inf, way[:-1]) < ARRIVED)
-    # From rest to rest the stage is half as fast on average.
-    needed = np.maximum(2.0 * way / fastest, np.where(stood, PAUSE, 0.0))
-    skipped = np.where(steps > PAUSE, np.maximum(steps - needed, 0.0), 0.0)
-    time = record.time - np.append(0.0, np.cumsum(skipped))
+    step = min(max(round(_WAYPOINT_EVERY / float(np.median(np.diff(time)))), 1), last)
     places = np.unique(np.append(np.arange(0, len(x), step), last))
     before, after = np.maximum(places - step // 2, 0), np.minimum(places + step // 2, last)
     speed = (x[after] - x[before]) / np.maximum(time[after] - time[before], 1e-9)
