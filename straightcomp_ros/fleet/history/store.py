@@ -15,15 +15,12 @@ The strokes of a bag are in one file at any time: in a copy of another storage's
 from __future__ import annotations
 
 import glob
-import os
-import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote, unquote
@@ -43,7 +40,7 @@ from straightcomp_ros.fleet.history.rows import (
     sealed,
     stored_name,
 )
-from straightcomp_ros.parameters.output_files import locked, same_or_within, write_whole
+from straightcomp_ros.parameters.output_files import locked, write_whole
 
 if TYPE_CHECKING:
     import pyarrow
@@ -60,8 +57,6 @@ CREATE VIEW bins AS
     guide_change_um[bin] AS guide_change_um
   FROM (SELECT *, unnest(range(1, len(error_bins_um) + 1)) AS bin FROM strokes);
 """
-_PLAIN = re.compile(r"'(?!file:|[a-z0-9]+://)((?:[^']|'')+)'", re.IGNORECASE)
-"""The name of a file in SQL: DuckDB writes to what an expression gives, and to URLs, too."""
 _ORDER = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
 _ABANDONED_S = 60.0
@@ -143,20 +138,17 @@ class Store:
         tables = self._each(folder, partial(rows_in, StrokeRow))
         return pyarrow.concat_tables([schema_of(StrokeRow).empty_table(), *tables]).sort_by(_ORDER)
 
-    def query(self, sql: str, force: bool = False) -> pyarrow.Table:
-        """What a query in DuckDB's SQL gives; a table without columns for a statement that gives nothing.
+    def query(self, sql: str) -> pyarrow.Table:
+        """What a query in DuckDB's SQL gives. It only reads: a statement of another kind could replace a file.
 
         Its tables are ``strokes``, with the columns of :class:`~straightcomp_ros.fleet.history.rows.StrokeRow` and its
         partitions, ``bags``, of :class:`~straightcomp_ros.fleet.history.rows.BagRow`, ``refused``, the bags among them
         that have no strokes in the store, and ``bins``, one row for each bin of each stroke.
 
-        A file that COPY names is replaced with ``force`` only, and one of the store never.
-
         Raises:
             HistoryError: there is no store, one of its files is damaged, or the query is refused.
         """
         import duckdb
-        import pyarrow
 
         with duckdb.connect() as database:
             database.execute("SET TimeZone = 'UTC'")
@@ -168,29 +160,12 @@ class Store:
                     raise HistoryError(f"store {self.url}: no bag was added there; make it: {make}")
                 self._add_table(database, STROKES, StrokeRow, PARTITIONS)
                 database.execute(_VIEWS)
-                # A setting could name a file to write, as that of profiling does.
-                database.execute("SET lock_configuration = true")
                 for statement in database.extract_statements(sql):
                     if statement.type != duckdb.StatementType.SELECT:
-                        self._keep_files(statement.query, force)
-                found = database.sql(sql)
-                return pyarrow.table({}) if found is None else found.to_arrow_table()
+                        raise HistoryError(f"query: {statement.type.name} is not allowed; allowed: SELECT")
+                return database.sql(sql).to_arrow_table()
             except duckdb.Error as error:
                 raise HistoryError(f"query: {' '.join(str(error).split())}") from error
-
-    def _keep_files(self, statement: str, force: bool) -> None:
-        written = _written(statement)
-        if written is None:
-            return
-        name = _PLAIN.fullmatch(written)
-        if name is None:
-            text = "the name of a file in single quotes, as TO 'figures.csv'"
-            raise HistoryError(f"query: {written} is not allowed as what is written; allowed: {text}")
-        path = Path(os.path.expanduser(name[1].replace("''", "'")))
-        if self.local and same_or_within(path, Path(self.root)):
-            raise HistoryError(f"query: '{path}' is in the store; name another file")
-        if os.path.lexists(path) and not force and not path.is_char_device():
-            raise HistoryError(f"query: '{path}' is there already; name another file, or give --force")
 
     def _add_table(self, database: Any, name: str, row: type, partitions: tuple[str, ...]) -> bool:
         """Add a table of the store; returns whether it has files."""
@@ -278,28 +253,6 @@ class Store:
         except ValueError as error:
             remedy = "remove it, and add its bags again with --again"
             raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
-
-
-def _written(statement: str) -> str | None:
-    """What COPY or EXPORT writes, as it stands in a statement; None for one that writes no file."""
-    import duckdb
-
-    # Places are those of bytes.
-    text, tokens = statement.encode(), duckdb.tokenize(statement)
-    ends = [*(start for start, _ in tokens[1:]), len(text)]
-    words = [
-        text[start:end].decode().strip()
-        for (start, kind), end in zip(tokens, ends, strict=True)
-        if kind != duckdb.token_type.comment
-    ]
-    writing, depth, found = False, 0, None
-    for word, following in pairwise(words):
-        depth += (word == "(") - (word == ")")
-        # COPY FROM DATABASE … TO names a database.
-        writing |= word.upper() in ("COPY", "EXPORT") and following.upper() != "FROM"
-        if writing and not depth and word.upper() in ("TO", "DATABASE"):
-            found = following
-    return found
 
 
 def _with_bag(file: Path, checksum: str, data: bytes) -> bytes:

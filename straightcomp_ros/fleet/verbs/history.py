@@ -123,7 +123,6 @@ def _query_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("store", nargs="?", default=_STORE, metavar="STORE", help=_STORE_HELP)
     add("sql", metavar="SQL", help="the query")
-    add_force(parser)
     add_json(parser)
 
 
@@ -133,21 +132,20 @@ def _query(options: argparse.Namespace) -> None:
       straightcomp history query "SELECT stage, month, median(true_pp_um) FROM strokes GROUP BY ALL ORDER BY ALL"
       straightcomp history query "SELECT x_mm, avg(error_um) FROM bins WHERE direction = 'forward' GROUP BY x_mm"
       straightcomp history query "SELECT location, reason FROM refused"
-      straightcomp history query "COPY (SELECT start, latency_p99_us FROM strokes ORDER BY start) TO 'latency.csv'"
 
     Tables: `strokes`, one row for each stroke; `bins`, one row for each 10 mm of each stroke; `bags`, one row for each
     bag that was added or refused; `refused`, those of them that were refused. `DESCRIBE strokes` lists the columns,
-    which docs/reference.md explains. Times are UTC. With --json the rows are the list `rows`.
+    which docs/reference.md explains. A query only reads. Times are UTC. With --json the rows are the list `rows`.
     """
     from pyarrow import types
 
     from straightcomp_ros.fleet.history.store import Store
 
-    found = Store(options.store).query(options.sql, options.force)
+    found = Store(options.store).query(options.sql)
     rows = found.to_pylist()
     if options.json:
         print_json({"rows": rows}, _in_json)
-    elif found.column_names:
+    else:
         numbers = (types.is_integer, types.is_floating, types.is_decimal)
         left = {field.name for field in found.schema if not any(is_kind(field.type) for is_kind in numbers)}
         below = ([shown(value) for value in row.values()] for row in rows)
