@@ -1,4 +1,4 @@
-"""Which bags a folder has, and when those that are being recorded enter the store: when they are whole, not before."""
+"""Which bags a folder has, and when those that are being recorded enter the store: when they rest."""
 
 import os
 import shutil
@@ -17,54 +17,20 @@ from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
 
 
 def given(growing, folder):
-    return [os.path.basename(place.location) for place in growing.whole(bags_in(str(folder)))]
+    return [os.path.basename(place.location) for place in growing.resting(bags_in(str(folder)))]
 
 
-@pytest.fixture
-def clock(monkeypatch):
-    """Seconds of a clock that the test sets."""
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    return now
-
-
-def half_written(folder, size=1_000_000):
-    shutil.rmtree(folder / "run", ignore_errors=True)
-    (folder / "run").mkdir()
-    (folder / "run" / "run_0.mcap").write_bytes((SMC / "smc_0.mcap").read_bytes()[:size])
-
-
-def test_a_bag_that_is_being_recorded_waits_for_its_end(tmp_path, clock):
-    growing = GrowingFolders()
-    for size in (1_000_000, 1_100_000, 1_200_000):
-        half_written(tmp_path, size)
+def test_a_bag_is_given_out_when_it_rests_and_again_when_it_changed_or_could_not_be_read(tmp_path):
+    (bag := tmp_path / "run").mkdir()
+    growing, whole = GrowingFolders(), (SMC / "smc_0.mcap").read_bytes()
+    for size in (1_000_000, 1_100_000, len(whole)):
+        (bag / "run_0.mcap").write_bytes(whole[:size])
         assert given(growing, tmp_path) == []
-        clock[0] += 59.0
-    shutil.rmtree(tmp_path / "run")
-    shutil.copytree(SMC, tmp_path / "run")
-    assert [given(growing, tmp_path) for _ in range(2)] == [["run"], []]
-
-
-@pytest.mark.parametrize("metadata", [False, True])
-def test_an_unfinished_bag_waits_and_is_given_out_to_be_refused_when_it_rests(tmp_path, clock, metadata):
-    """Also one whose metadata were copied before its messages."""
-    growing = GrowingFolders()
-    half_written(tmp_path)
-    if metadata:
-        shutil.copy(SMC / "metadata.yaml", tmp_path / "run")
-    assert given(growing, tmp_path) == []
-    clock[0] += 61.0
-    assert [given(growing, tmp_path) for _ in range(2)] == [["run"], []]
-
-
-def test_a_finished_bag_is_given_out_once_and_again_when_it_changed_or_could_not_be_read(tmp_path):
-    shutil.copytree(SMC, tmp_path / "smc")
-    growing = GrowingFolders()
-    assert [given(growing, tmp_path) for _ in range(2)] == [["smc"], []]
-    os.utime(tmp_path / "smc" / "smc_0.mcap", (0.0, time.time() + 3600.0))
-    assert given(growing, tmp_path) == ["smc"]
+    assert [given(growing, tmp_path) for _ in range(3)] == [["run"], [], []]
+    (bag / "metadata.yaml").write_text("more")
+    assert [given(growing, tmp_path) for _ in range(3)] == [[], ["run"], []]
     growing.retry(next(bags_in(str(tmp_path))))
-    assert given(growing, tmp_path) == ["smc"]
+    assert given(growing, tmp_path) == ["run"]
 
 
 def test_a_file_that_vanishes_while_its_folder_is_listed_hides_no_other(tmp_path, monkeypatch):

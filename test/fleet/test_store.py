@@ -20,7 +20,7 @@ from stores import COUNT, added, files_of, strokes_of
 from tiers import nightly
 
 from straightcomp_ros.fleet.history import HistoryError, StorageError, adding
-from straightcomp_ros.fleet.history.bag_places import BagPlace, bags_in, is_finished
+from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.rows import StrokeRow, schema_of
 from straightcomp_ros.fleet.history.store import Store
 
@@ -326,7 +326,7 @@ def test_a_file_of_which_one_bit_is_another_gives_no_figures(copy):
 
 def test_an_error_that_only_a_storage_knows_is_one_of_the_storage_with_its_url(monkeypatch):
     added("memory://months", SMC)
-    store, place = Store("memory://months"), BagPlace("memory://run", ("run_0.mcap", "metadata.yaml"), 1, None)
+    store = Store("memory://months")
     for name, use in (
         ("isdir", store.stages),
         ("isdir", lambda: store.strokes("synthetic")),
@@ -336,8 +336,6 @@ def test_an_error_that_only_a_storage_knows_is_one_of_the_storage_with_its_url(m
         with monkeypatch.context() as patch, pytest.raises(StorageError, match="memory://months: no answer"):
             patch.setattr(type(store.files), name, Mock(side_effect=RuntimeError("no answer")))
             use()
-    monkeypatch.setattr(type(store.files), "size", Mock(side_effect=RuntimeError("no answer")))
-    assert not is_finished(place)
 
 
 def test_what_a_worker_warns_of_is_said_here_with_the_bag(tmp_path, monkeypatch):

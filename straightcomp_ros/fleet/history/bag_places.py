@@ -5,7 +5,6 @@ Folders that grow are listed again and again, since network file systems and S3 
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,14 +12,10 @@ from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from mcap.writer import MCAP0_MAGIC
-
 from straightcomp_ros.bags.folder import STORED, split_number
 from straightcomp_ros.fleet.history import HistoryError, StorageError
 from straightcomp_ros.fleet.history.rows import BagRow
 
-_SETTLED_S = 60.0
-"""Time in s without a change after which an unfinished bag counts as cut off."""
 _METADATA = "metadata.yaml"
 
 
@@ -31,11 +26,6 @@ class BagPlace(NamedTuple):
     names: tuple[str, ...]  # of its files, within the folder; a bag that is one file has none
     size: int  # of its files, bytes
     modified: datetime | None  # when the newest of them was changed, UTC; None where the storage does not say
-
-    @property
-    def paths(self) -> list[str]:
-        """Full paths or URLs of the files."""
-        return [f"{self.location}/{name}" for name in self.names] or [self.location]
 
 
 def file_system(url: str) -> tuple[Any, str, bool]:
@@ -87,24 +77,6 @@ def bags_in(url: str) -> Iterator[BagPlace]:
             yield from _below(files, path.rstrip("/") or path, local)
         else:
             yield BagPlace(_location(files, path, local), (), *_state_of(files.info(path)))
-
-
-def is_finished(place: BagPlace) -> bool:
-    """Whether whoever wrote a bag has finished it: metadata.yaml is there, and each MCAP file has its end. One that has
-    gone meanwhile, or cannot be read now, is not."""
-    if place.names and _METADATA not in place.names:
-        return False
-    for path in place.paths:
-        if path.endswith(".mcap"):
-            files, inside, _ = file_system(path)
-            try:
-                with reaching(path):
-                    end = files.cat_file(inside, start=max(files.size(inside) - len(MCAP0_MAGIC), 0))
-            except OSError:
-                return False
-            if end != MCAP0_MAGIC:
-                return False
-    return True
 
 
 def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
@@ -160,32 +132,23 @@ def _state_of(info: Mapping[str, Any]) -> tuple[int, datetime | None]:
 
 
 class GrowingFolders:
-    """Remembers which bags it gave out: 0.1 kB for each."""
+    """Remembers how often in a row it has seen each bag as it is: 0.1 kB for each."""
 
     def __init__(self) -> None:
-        self._given: set[int] = set()
-        self._waiting: dict[str, tuple[int, float]] = {}
+        self._looks: dict[int, int] = {}
 
-    def whole(self, places: Iterable[BagPlace]) -> Iterator[BagPlace]:
-        """Of the bags that are there now those that were not given out as they are: finished ones, and those that have
-        not changed since an earlier call, a minute ago."""
+    def resting(self, places: Iterable[BagPlace]) -> Iterator[BagPlace]:
+        """Of the bags that are there now those that are as at the call before, each once."""
+        before, self._looks = self._looks, {}
         for place in places:
             state = _state(place)
-            if state in self._given or not (is_finished(place) or self._settled(place.location, state)):
-                continue
-            self._waiting.pop(place.location, None)
-            self._given.add(state)
-            yield place
+            self._looks[state] = before.get(state, 0) + 1
+            if self._looks[state] == 2:
+                yield place
 
     def retry(self, row: BagRow) -> None:
         """Give the bag of a row out again, if it is there."""
-        self._given.discard(_state(row))
-
-    def _settled(self, location: str, state: int) -> bool:
-        now = time.monotonic()
-        known, since = self._waiting.get(location, (state, now))
-        self._waiting[location] = (state, since if known == state else now)
-        return known == state and now - since >= _SETTLED_S
+        self._looks[_state(row)] = 1
 
 
 def _state(place: BagPlace | BagRow) -> int:

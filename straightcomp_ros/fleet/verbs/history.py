@@ -54,7 +54,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
     add_dask(parser)
     add("--again", action="store_true", help="evaluate bags that the store has, too: after an update of this program")
-    add("--follow", action="store_true", help="go on until Ctrl-C, adding each new bag when its recording has ended")
+    add("--follow", action="store_true", help="go on until Ctrl-C, adding each new bag when two looks find it alike")
     wait = "with --follow: seconds between two looks (default: %(default)g)"
     add("--every", type=float, default=10.0, metavar="S", help=wait)
     add_remap_option(parser)
@@ -92,7 +92,7 @@ def _add(options: argparse.Namespace) -> None:
         task = bar.add_task("looking for bags", total=None)
         while True:
             found = chain.from_iterable(map(bags_in, options.bags))
-            places = growing.whole(found) if options.follow else found
+            places = growing.resting(found) if options.follow else found
             for row in add(store, places, tally, again=options.again, remap=remap, **workers):
                 bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
                 if row.reason is not None:
