@@ -8,7 +8,6 @@ import sys
 import time
 from contextlib import contextmanager
 
-import fsspec
 import pytest
 from places import BAGS, SMC
 
@@ -76,22 +75,6 @@ def test_a_folder_that_may_not_be_listed_hides_no_other_and_the_one_that_is_name
     assert [place.location for place in found] == [str(tmp_path / "bags" / "there" / "bag.mcap")]
     with pytest.raises(StorageError, match="Permission denied"):
         list(bags_in(str(kept)))
-
-
-def test_a_remote_folder_that_may_not_be_listed_is_an_error_since_the_key_may_be_an_old_one(monkeypatch):
-    memory = fsspec.filesystem("memory")
-    for name in ("expired", "there"):
-        memory.pipe_file(f"/remote/{name}/bag.mcap", b"")
-    ls = type(memory).ls
-
-    def listed(files, path, **options):
-        if path.endswith("expired"):
-            raise PermissionError("The provided token has expired")
-        return ls(files, path, **options)
-
-    monkeypatch.setattr(type(memory), "ls", listed)
-    with pytest.raises(StorageError, match="token has expired"):
-        list(bags_in("memory://remote"))
 
 
 def test_following_adds_bags_as_they_are_finished_until_it_is_interrupted(tmp_path):

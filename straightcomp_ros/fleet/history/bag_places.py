@@ -60,8 +60,8 @@ def bags_in(url: str) -> Iterator[BagPlace]:
 
     A folder with metadata.yaml is a bag, as is one whose files are splits of recordings by their numbers (of several
     recordings: a bag that cannot be evaluated). Other MCAP and SQLite files, compressed as a whole or not, are bags of
-    their own. What lies below a bag is looked at too. Links to folders are not followed. On this machine a folder below
-    that this user may not list is left out, with a warning (UserWarning).
+    their own. What lies below a bag is looked at too. Links to folders are not followed. A folder below that this user
+    may not list is left out, with a warning (UserWarning).
 
     Raises:
         HistoryError: nothing is there.
@@ -101,9 +101,6 @@ def _below(files: Any, path: str, local: bool) -> Iterator[BagPlace]:
             try:
                 yield from _below(files, f"{path}/{name}", local)
             except PermissionError as error:
-                # A remote storage refuses whoever has an old key, too, and then every folder.
-                if not local:
-                    raise
                 why = error.strerror or error
                 warnings.warn(f"folder {path}/{name}: left out, since it cannot be listed: {why}", stacklevel=2)
 
