@@ -46,8 +46,8 @@ def test_a_named_bag_that_was_refused_is_refused_as_long_as_it_is_unchanged(tmp_
     store, bag = tmp_path / "store", tmp_path / "bags" / "run"
     shutil.copytree(BAGS / "cut_off", bag)
     refused = [history("add", bag, "-o", store) for _ in range(2)]
-    assert all(one.code == 1 and "run/cut_off_0.mcap" in one.err and "refused: 1" in one.err for one in refused)
-    assert refused[1].err.startswith("refused before, and unchanged: bag ")
+    assert all(one.code == 1 and "bags refused: 1; the reasons: " in one.err for one in refused)
+    assert ["refused: bag " in one.err for one in refused] == [True, False]
     assert history("add", bag.parent, "-o", store).code == 0
 
 
@@ -183,7 +183,7 @@ def test_a_stage_that_was_idle_since_a_day_does_not_keep_the_others_from_their_p
         found = history(verb, *since, "-o", tmp_path / verb)
         assert found.code == 0 and "'stage_0' has no strokes since 2025-10-10" in found.err
         assert [file.name for file in (tmp_path / verb).glob(f"[!.]*{ending}")] == [f"stage_1{ending}"]
-        assert history(verb, *since, "-o", tmp_path / "none", "--name", "stage_0", "--name", "stage_1").code == 1
+        assert history(verb, *since, "-o", tmp_path / "none", "--name", "stage_0").code == 1
     assert history("report", tmp_path / "store", "--since", "2025-10-12", "-o", tmp_path / "none").code == 1
     # As a damaged file is to be removed.
     for file in (tmp_path / "store").glob("strokes/*/*/strokes.parquet"):

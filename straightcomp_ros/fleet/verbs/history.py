@@ -79,7 +79,7 @@ def _add(options: argparse.Namespace) -> None:
     check_range("--every", options.every, 0.1, _LONGEST_WAIT, "s")
     remap = parsed_remap(options.remap)
     store, tally, growing = Store(options.store), Tally(), GrowingFolders()
-    named, refused = set(), set()
+    named = set()
     for url in options.bags:
         first = next(bags_in(url), None)
         if first is not None:
@@ -96,7 +96,6 @@ def _add(options: argparse.Namespace) -> None:
             for row in add(store, places, tally, again=options.again, remap=remap, **workers):
                 bar.update(task, description=f"{tally.added} bags with {tally.strokes} strokes")
                 if row.reason is not None:
-                    refused.add(row.location)
                     notes.print(f"refused: {row.reason}")
                 if row.checksum is None:
                     growing.retry(row)
@@ -108,12 +107,10 @@ def _add(options: argparse.Namespace) -> None:
     else:
         counts = f"added {tally.added}, known and unchanged {tally.known}, refused {tally.refused}"
         console.print(f"{options.store}: bags {counts}; strokes in those added: {tally.strokes}")
-    before = [reason for bag in sorted(named - refused) if (reason := store.row(bag).get("reason"))]
-    for reason in before:
-        notes.print(f"refused before, and unchanged: {reason}")
     why = f'straightcomp history query {shlex.quote(options.store)} "SELECT location, reason FROM refused"'
-    if before or (tally.refused and (named & refused or not tally.added + tally.known)):
-        raise CommandFailed(f"bags refused: {tally.refused + len(before)}; the reasons: {why}")
+    refused = [bag for bag in named if store.row(bag).get("reason")]
+    if refused or (tally.refused and not tally.added + tally.known):
+        raise CommandFailed(f"bags refused: {len(refused) or tally.refused}; the reasons: {why}")
     if not options.json:
         then = f"straightcomp history advise {shlex.quote(options.store)}"
         print_written(options.store, then=f"{then}; why bags were refused: {why}" if tally.refused else then)
@@ -300,32 +297,25 @@ def _day(text: str) -> datetime:
 
 
 def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.Table]]:
-    """Each chosen stage with its strokes. One without strokes is noted; CommandFailed if it was named, or none has
-    any."""
+    """Each chosen stage with its strokes. One without strokes is noted; CommandFailed if none has any."""
     import pyarrow.compute
 
     from straightcomp_ros.fleet.history.store import Store
 
     store = Store(options.store)
-    names = options.name or store.stages()
-    if not names:
-        fill = "fill it by `straightcomp history add`"
-        raise CommandFailed(f"store {options.store} has no strokes; {fill}", exit_code=2)
     found, since = False, f" since {options.since:%Y-%m-%d}" if options.since else ""
-    for name in names:
+    for name in (names := options.name or store.stages()):
         strokes = store.strokes(name)
         if options.since is not None:
             strokes = strokes.filter(pyarrow.compute.greater_equal(strokes["start"], options.since))
         if strokes.num_rows:
             found = True
             yield name, strokes
-            continue
-        none = f"stage '{name}' has no strokes{since}"
-        if options.name:
-            raise CommandFailed(none)
-        notes.print(none)
+        else:
+            notes.print(f"stage '{name}' has no strokes{since}")
     if not found:
-        raise CommandFailed(f"store {options.store} has no strokes{since}")
+        text = f"store {options.store} has no strokes{since}; fill it by `straightcomp history add`"
+        raise CommandFailed(text, exit_code=1 if names else 2)
 
 
 def _written(
