@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from asyncua import ua
@@ -171,10 +171,6 @@ class GuardedSession(InternalSession):
     modify_monitored_items = _own_only(InternalSession.modify_monitored_items, _of_one)
     set_monitoring_mode = _own_only(InternalSession.set_monitoring_mode, _of_one)
     delete_monitored_items = _own_only(InternalSession.delete_monitored_items, _of_one)
-
-    def publish(self, acks: Iterable[ua.SubscriptionAcknowledgement] | None = None) -> tuple[int, list[ua.StatusCode]]:
-        own, of_none = self._own_subscriptions(), ua.SubscriptionAcknowledgement()
-        return super().publish([ack if ack.SubscriptionId in own else of_none for ack in acks or ()])
 
     async def create_subscription(self, params: ua.CreateSubscriptionParameters, *rest: Any, **options: Any) -> Any:
         _refuse(ua.StatusCodes.BadTooManySubscriptions, len(self._own_subscriptions()) >= _MOST_SUBSCRIPTIONS)

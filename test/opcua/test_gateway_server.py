@@ -45,7 +45,6 @@ from straightcomp_ros.opcua.address_space import ARGUMENTS, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, add_user
 from straightcomp_ros.opcua.client import CycleFailed, connected
 from straightcomp_ros.opcua.gateway_server import AtMostALineASecond, GatewayServer
-from straightcomp_ros.opcua.guard import GuardedServer
 
 WELL = Snapshot(seen=Observation(nodes={"driver": "plain"}, fault_code=6, fresh=True, x=0.25))
 U = ua.VariantType.UInt32
@@ -234,16 +233,6 @@ async def test_the_rules_hold_where_the_secure_channel_is_gone_around(plain):
     ):
         assert await outcome(tried) != "done"
     assert not plain.commands
-
-
-@probing
-async def test_only_the_session_of_a_subscription_acknowledges_its_notifications():
-    server = GuardedServer(None)
-    one, other = (server.create_session(name) for name in ("one", "other"))
-    made = await one.create_subscription(ua.CreateSubscriptionParameters(), None)
-    acknowledged = [ua.SubscriptionAcknowledgement(made.SubscriptionId, 1)]
-    assert [session.publish(acknowledged)[1][0].is_good() for session in (one, other)] == [True, False]
-    await one.close_session()
 
 
 @probing
