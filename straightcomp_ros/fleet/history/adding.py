@@ -58,7 +58,6 @@ def add(
         WorkersError: the workers cannot be reached.
         OSError: the store cannot be written, or a folder not be listed.
     """
-    store.clear_abandoned()
     # Under other names of topics a bag may not be refused.
     new = _unknown(store, places, tally, refused=not remap) if not again else iter(places)
     first = list(islice(new, 2))

@@ -15,9 +15,7 @@ The strokes of a bag are in one file at any time: in a copy of another storage's
 from __future__ import annotations
 
 import glob
-import shutil
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -59,8 +57,6 @@ CREATE VIEW bins AS
 """
 _ORDER = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 """Order of the strokes of a stage."""
-_ABANDONED_S = 60.0
-"""Age of a file in ``.parts`` from which whoever wrote it has been killed: writing takes milliseconds."""
 
 
 class Store:
@@ -108,14 +104,15 @@ class Store:
             OSError: the store cannot be written.
             HistoryError: the file of the bag's month is damaged.
         """
-        if strokes is not None:
-            folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
-            month = "/".join((self.root, STROKES, *folders))
-            if self.local:
-                self._add_to_month(Path(month), str(row.checksum), strokes)
-            else:
-                self._write(f"{month}/{row.checksum}.parquet", strokes)
-        self._write(self._bag_file(row.location), parquet(BagRow, [row]))
+        with self._alone():
+            if strokes is not None:
+                folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
+                month = "/".join((self.root, STROKES, *folders))
+                if self.local:
+                    self._add_to_month(Path(month), str(row.checksum), strokes)
+                else:
+                    self._write(f"{month}/{row.checksum}.parquet", strokes)
+            self._write(self._bag_file(row.location), parquet(BagRow, [row]))
 
     def stages(self) -> list[str]:
         """Names of the stages, sorted."""
@@ -189,16 +186,18 @@ class Store:
         database.execute(f"CREATE VIEW {name} AS FROM {declared} UNION ALL BY NAME FROM {written}")
         return True
 
-    def clear_abandoned(self) -> None:
-        """Remove what killed processes have left half-written."""
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """No other process writes to a local store meanwhile."""
         if not self.local:
+            yield
             return
-        for part in Path(self.root, _PARTS).glob("*"):
-            try:
-                if time.time() - part.stat().st_mtime > _ABANDONED_S:
-                    shutil.rmtree(part) if part.is_dir() else part.unlink()
-            except FileNotFoundError:
-                continue  # another process was faster
+        Path(self.root).mkdir(parents=True, exist_ok=True)
+        with locked(Path(self.root, _LOCK)):
+            # Left by a process that was killed.
+            for part in Path(self.root, _PARTS).glob("*"):
+                part.unlink()
+            yield
 
     def _each(self, folder: str, read: Callable[[bytes], _Read]) -> list[_Read]:
         """What ``read`` gives of each file below a folder, in threads: on another storage most of the time is the way
@@ -234,16 +233,14 @@ class Store:
 
     def _add_to_month(self, month: Path, checksum: str, data: bytes) -> None:
         """Put the strokes of a bag, a Parquet file, in place of those that the month has of it."""
-        Path(self.root).mkdir(parents=True, exist_ok=True)
-        with locked(Path(self.root, _LOCK)):
-            own = month / f"{checksum}.parquet"
-            if own.exists():
-                self._write(str(own), data)
-                return
-            file = month / _MONTH
-            with self._whole(file):
-                content = _with_bag(file, checksum, data)
-            self._write(str(file), content)
+        own = month / f"{checksum}.parquet"
+        if own.exists():
+            self._write(str(own), data)
+            return
+        file = month / _MONTH
+        with self._whole(file):
+            content = _with_bag(file, checksum, data)
+        self._write(str(file), content)
 
     @contextmanager
     def _whole(self, file: str | Path) -> Iterator[None]:
