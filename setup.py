@@ -88,7 +88,7 @@ setup(
         "dask": ["dask[distributed]"],
         # Gains, margins, friction and commissioning of a stage.
         "tuning": TUNING,
-        # Figures of many bags in one store of Parquet files; for stores and bags in S3 also s3fs.
+        # Figures of many bags in one store of Parquet files; for bags in S3 also s3fs.
         "fleet": FLEET,
         # The pages in docs/ as HTML: make docs.
         "docs": DOCS,

@@ -113,7 +113,7 @@ def test_a_query_only_reads(alone, tmp_path, history, statement):
     [
         ("add empty", 2, "empty: no bag is there; allowed: a bag, or a folder with bags below it"),
         ("add {bag} -o file", 2, "store file: is a file; name a folder"),
-        ("add {bag} -o nonsense://x", 2, "nonsense://x: Protocol not known"),
+        ("add {bag} -o nonsense://x", 2, "store nonsense://x: is a URL; name a folder"),
         ("query {store} SELEC", 2, "query: Parser Error"),
         ("advise {worn} --name none", 2, "its stages are: amplifier, bolt"),
         ("advise {worn} --since soon", 2, "allowed: a date as"),

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from stores import COUNT, added, files_of, strokes_of
 from tiers import nightly
 
-from straightcomp_ros.fleet.history import HistoryError, StorageError, adding
+from straightcomp_ros.fleet.history import HistoryError, adding
 from straightcomp_ros.fleet.history.bag_places import bags_in
 from straightcomp_ros.fleet.history.rows import StrokeRow, schema_of
 from straightcomp_ros.fleet.history.store import Store
@@ -108,21 +108,6 @@ def test_what_a_killed_process_left_half_written_is_removed_by_a_later_one(tmp_p
     part.write_bytes(b"half a fi")
     added(tmp_path, SMC)
     assert not list(part.parent.iterdir())
-
-
-def test_a_store_that_was_copied_from_another_storage_is_added_to_without_doubling_a_stroke(alone, months, copy):
-    """That has a file for each bag."""
-    for file in copy.glob("strokes/*/*/strokes.parquet"):
-        table = pyarrow.parquet.read_table(file, partitioning=None)
-        file.unlink()
-        for checksum in set(table["checksum"].to_pylist()):
-            own = table.filter(pyarrow.compute.equal(table["checksum"], checksum))
-            pyarrow.parquet.write_table(own, file.with_name(f"{checksum}.parquet"))
-    names = set(files_of(copy))
-    assert added(copy, months, again=True).added == COUNT
-    assert strokes_of(copy) == strokes_of(alone[0]) and set(files_of(copy)) == names
-    added(copy, SMC)
-    assert len(strokes_of(copy)) == 2 * COUNT + 2
 
 
 def test_strokes_that_were_added_before_a_column_was_declared_are_null_there_until_they_are_added_again(copy, months):
@@ -316,20 +301,6 @@ def test_a_file_of_which_one_bit_is_another_gives_no_figures(copy):
             with pytest.raises(HistoryError, match="is damaged"):
                 Store(str(copy)).strokes("stage_0")
         file.write_bytes(whole)
-
-
-def test_an_error_that_only_a_storage_knows_is_one_of_the_storage_with_its_url(monkeypatch):
-    added("memory://months", SMC)
-    store = Store("memory://months")
-    for name, use in (
-        ("isdir", store.stages),
-        ("isdir", lambda: store.strokes("synthetic")),
-        ("cat_file", lambda: store.strokes("synthetic")),
-        ("find", lambda: store.query("FROM bags")),
-    ):
-        with monkeypatch.context() as patch, pytest.raises(StorageError, match="memory://months: no answer"):
-            patch.setattr(type(store.files), name, Mock(side_effect=RuntimeError("no answer")))
-            use()
 
 
 def test_what_a_worker_warns_of_is_said_here_with_the_bag(tmp_path, monkeypatch):

@@ -1,30 +1,24 @@
 """A store: folders of Parquet files that any number of processes may add to at once.
 
-    strokes/stage=NAME/month=YYYY-MM/strokes.parquet     all strokes of a stage's month, on a local disk
-    strokes/stage=NAME/month=YYYY-MM/CHECKSUM.parquet    the strokes of the bag with this checksum, on other storages
+    strokes/stage=NAME/month=YYYY-MM/strokes.parquet     all strokes of a stage's month
     bags/HASH.parquet                                    one row: the bag at the place whose hash this is
 
 A month's file is a function of its bags alone, and is replaced as a whole under a lock, which the kernel takes from a
-process that is killed. Other storages have no lock: there each bag has a file, which is a function of that bag. So
-processes that add the same bags write the same bytes, and a process that is killed leaves nothing that the next one
-does not write again. The strokes are written before the row that says so.
-
-The strokes of a bag are in one file at any time: in a copy of another storage's store they stay in the bag's own.
+process that is killed. So processes that add the same bags write the same bytes, and a process that is killed leaves
+nothing that the next one does not write again. The strokes are written before the row that says so.
 """
 
 from __future__ import annotations
 
 import glob
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
-from straightcomp_ros.fleet.history import HistoryError, StorageError
-from straightcomp_ros.fleet.history.bag_places import BagPlace, file_system, reaching
+from straightcomp_ros.fleet.history import HistoryError
+from straightcomp_ros.fleet.history.bag_places import BagPlace
 from straightcomp_ros.fleet.history.rows import (
     BIN_MM,
     PARTITIONS,
@@ -43,7 +37,6 @@ from straightcomp_ros.parameters.output_files import locked, write_whole
 if TYPE_CHECKING:
     import pyarrow
 
-_Read = TypeVar("_Read")
 STROKES, BAGS = "strokes", "bags"
 _PARTS, _LOCK = ".parts", ".lock"
 _MONTH = "strokes.parquet"
@@ -60,25 +53,15 @@ _ORDER = [(name, "ascending") for name in ("start", "checksum", "stroke")]
 
 
 class Store:
-    """A store at a path or URL. Raises HistoryError for a URL of an unknown kind or a path that is a file; every method
-    raises StorageError where its storage does not answer.
+    """A store in a folder. HistoryError: that is a file, or a URL."""
 
-    Attributes:
-        url: as it was given.
-        files, root: its fsspec file system, and its path there.
-        local: whether that is this machine's own.
-    """
-
-    def __init__(self, url: str) -> None:
+    def __init__(self, folder: str) -> None:
         import pyarrow  # noqa: F401 - if it is missing, that is reported before anything is evaluated
 
-        self.url = url
-        self.files, root, self.local = file_system(url)
-        self.root = root.rstrip("/")
-        with reaching(url):
-            is_file = self.files.isfile(self.root)
-        if is_file:
-            raise HistoryError(f"store {url}: is a file; name a folder")
+        self.folder = Path(folder)
+        if "://" in folder or self.folder.is_file():
+            what = "a URL" if "://" in folder else "a file"
+            raise HistoryError(f"store {folder}: is {what}; name a folder")
 
     def has(self, place: BagPlace, refused: bool = True) -> bool:
         """Whether a bag was added, or ``refused``, as it is now. One that could not be read is to be tried again."""
@@ -91,9 +74,7 @@ class Store:
         """The row of the bag at this place by its columns, those of
         :class:`~straightcomp_ros.fleet.history.rows.BagRow`; empty where there is none, or it is damaged."""
         try:
-            with reaching(self.url):
-                data = self.files.cat_file(self._bag_file(location))
-            return rows_in(BagRow, data).to_pylist()[0]  # type: ignore[no-any-return]
+            return rows_in(BagRow, self._bag_file(location).read_bytes()).to_pylist()[0]  # type: ignore[no-any-return]
         except (FileNotFoundError, ValueError, LookupError):
             return {}
 
@@ -104,36 +85,38 @@ class Store:
             OSError: the store cannot be written.
             HistoryError: the file of the bag's month is damaged.
         """
-        with self._alone():
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with locked(self.folder / _LOCK):
+            # Left by a process that was killed.
+            for part in (self.folder / _PARTS).glob("*"):
+                part.unlink()
             if strokes is not None:
-                folders = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
-                month = "/".join((self.root, STROKES, *folders))
-                if self.local:
-                    self._add_to_month(Path(month), str(row.checksum), strokes)
-                else:
-                    self._write(f"{month}/{row.checksum}.parquet", strokes)
+                partitions = (f"{name}={quote(str(getattr(row, name)), safe='')}" for name in PARTITIONS)
+                file = self.folder.joinpath(STROKES, *partitions, _MONTH)
+                with self._whole(file):
+                    content = _with_bag(file, str(row.checksum), strokes)
+                self._write(file, content)
             self._write(self._bag_file(row.location), parquet(BagRow, [row]))
 
     def stages(self) -> list[str]:
         """Names of the stages, sorted."""
-        folder = f"{self.root}/{STROKES}"
-        with reaching(self.url):
-            there = self.files.ls(folder, detail=False) if self.files.isdir(folder) else []
-        names = (str(path).rstrip("/").rpartition("/")[2] for path in there)
-        return sorted(unquote(name.removeprefix("stage=")) for name in names if name.startswith("stage="))
+        folders = (self.folder / STROKES).glob("stage=*")
+        return sorted(unquote(folder.name.removeprefix("stage=")) for folder in folders)
 
     def strokes(self, stage: str) -> pyarrow.Table:
         """The strokes of a stage, sorted by ``start``, ``checksum`` and ``stroke``. Raises HistoryError for a stage
         that the store does not have, or a damaged file."""
         import pyarrow
 
-        folder = f"{self.root}/{STROKES}/stage={quote(stored_name(stage), safe='')}"
-        with reaching(self.url):
-            if not self.files.isdir(folder):
-                known = ", ".join(self.stages()) or "none"
-                raise HistoryError(f"store {self.url}: has no stage '{stage}'; its stages are: {known}")
-        tables = self._each(folder, partial(rows_in, StrokeRow))
-        return pyarrow.concat_tables([schema_of(StrokeRow).empty_table(), *tables]).sort_by(_ORDER)
+        folder = self.folder / STROKES / f"stage={quote(stored_name(stage), safe='')}"
+        if not folder.is_dir():
+            known = ", ".join(self.stages()) or "none"
+            raise HistoryError(f"store {self.folder}: has no stage '{stage}'; its stages are: {known}")
+        tables = [schema_of(StrokeRow).empty_table()]
+        for file in folder.rglob("*.parquet"):
+            with self._whole(file):
+                tables.append(rows_in(StrokeRow, file.read_bytes()))
+        return pyarrow.concat_tables(tables).sort_by(_ORDER)
 
     def query(self, sql: str) -> pyarrow.Table:
         """What a query in DuckDB's SQL gives. It only reads: a statement of another kind could replace a file.
@@ -149,12 +132,10 @@ class Store:
 
         with duckdb.connect() as database:
             database.execute("SET TimeZone = 'UTC'")
-            if not self.local:
-                database.register_filesystem(self.files)
             try:
                 if not self._add_table(database, BAGS, BagRow, ()):
-                    make = f"straightcomp history add BAG -o {self.url}"
-                    raise HistoryError(f"store {self.url}: no bag was added there; make it: {make}")
+                    make = f"straightcomp history add BAG -o {self.folder}"
+                    raise HistoryError(f"store {self.folder}: no bag was added there; make it: {make}")
                 self._add_table(database, STROKES, StrokeRow, PARTITIONS)
                 database.execute(_VIEWS)
                 for statement in database.extract_statements(sql):
@@ -168,12 +149,14 @@ class Store:
         """Add a table of the store; returns whether it has files."""
         import pyarrow
 
-        folder = f"{self.root}/{name}"
+        folder = self.folder / name
+        found = False
         # DuckDB takes damaged values for values.
-        found = bool(self._each(folder, check_seal))
-        if not self.local:
-            folder = self.files.unstrip_protocol(folder)
-        files = f"{glob.escape(folder)}/**/*.parquet".replace("'", "''")
+        for file in folder.rglob("*.parquet"):
+            found = True
+            with self._whole(file):
+                check_seal(file.read_bytes())
+        files = f"{glob.escape(str(folder))}/**/*.parquet".replace("'", "''")
         schema = pyarrow.schema([*schema_of(row), *((partition, pyarrow.string()) for partition in partitions)])
         database.register(declared := f"declared_{name}" if found else name, schema.empty_table())
         if not found:
@@ -186,70 +169,24 @@ class Store:
         database.execute(f"CREATE VIEW {name} AS FROM {declared} UNION ALL BY NAME FROM {written}")
         return True
 
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """No other process writes to a local store meanwhile."""
-        if not self.local:
-            yield
-            return
-        Path(self.root).mkdir(parents=True, exist_ok=True)
-        with locked(Path(self.root, _LOCK)):
-            # Left by a process that was killed.
-            for part in Path(self.root, _PARTS).glob("*"):
-                part.unlink()
-            yield
+    def _bag_file(self, location: str) -> Path:
+        return self.folder / BAGS / f"{checksum_of([location.encode('utf-8', 'surrogateescape')])}.parquet"
 
-    def _each(self, folder: str, read: Callable[[bytes], _Read]) -> list[_Read]:
-        """What ``read`` gives of each file below a folder, in threads: on another storage most of the time is the way
-        there. Raises HistoryError for a damaged file."""
-
-        def one(file: str) -> _Read:
-            with reaching(self.url):
-                data = self.files.cat_file(file)
-            with self._whole(file):
-                return read(data)
-
-        with reaching(self.url):
-            files = [file for file in self.files.find(folder) if file.endswith(".parquet")]
-        with ThreadPoolExecutor() as threads:
-            return list(threads.map(one, files))
-
-    def _bag_file(self, location: str) -> str:
-        return f"{self.root}/{BAGS}/{checksum_of([location.encode('utf-8', 'surrogateescape')])}.parquet"
-
-    def _write(self, path: str, data: bytes) -> None:
+    def _write(self, path: Path, data: bytes) -> None:
         """Make a file that appears whole."""
-        if self.local:
-            parts = Path(self.root, _PARTS)
-            for folder in (Path(path).parent, parts):
-                folder.mkdir(parents=True, exist_ok=True)
-            write_whole(path, data, parts)
-            return
-        try:
-            with reaching(self.url):
-                self.files.pipe_file(path, data)
-        except FileNotFoundError as error:
-            raise StorageError(f"store {self.url} cannot be written: {error}") from error
-
-    def _add_to_month(self, month: Path, checksum: str, data: bytes) -> None:
-        """Put the strokes of a bag, a Parquet file, in place of those that the month has of it."""
-        own = month / f"{checksum}.parquet"
-        if own.exists():
-            self._write(str(own), data)
-            return
-        file = month / _MONTH
-        with self._whole(file):
-            content = _with_bag(file, checksum, data)
-        self._write(str(file), content)
+        parts = self.folder / _PARTS
+        for folder in (path.parent, parts):
+            folder.mkdir(parents=True, exist_ok=True)
+        write_whole(path, data, parts)
 
     @contextmanager
-    def _whole(self, file: str | Path) -> Iterator[None]:
+    def _whole(self, file: Path) -> Iterator[None]:
         """Raises HistoryError if what reads a ``file`` meanwhile finds it damaged."""
         try:
             yield
         except ValueError as error:
             remedy = "remove it, and add its bags again with --again"
-            raise HistoryError(f"store {self.url}: {file} is damaged: {error}; {remedy}") from error
+            raise HistoryError(f"store {self.folder}: {file} is damaged: {error}; {remedy}") from error
 
 
 def _with_bag(file: Path, checksum: str, data: bytes) -> bytes:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 SUMMARY = "the figures of many bags in one store, and questions to it"
 PURPOSE = "fleet"
-_STORE, _STORE_HELP = "history", "folder or URL (default: %(default)s)"
+_STORE, _STORE_HELP = "history", "folder (default: %(default)s)"
 _LONGEST_WAIT = 86_400.0
 
 
@@ -65,8 +65,8 @@ def _add(options: argparse.Namespace) -> None:
     """Add the figures of each stroke of each bag to a store.
 
     A bag that the store has, unchanged, costs nothing, so the same command may run every hour, and after a kill or a
-    failure. Several processes may add to one store at once. Bags and stores may be URLs of any kind that fsspec knows,
-    for example s3://bucket/folder.
+    failure. Several processes may add to one store at once. Bags may be URLs of any kind that fsspec knows, for example
+    s3://bucket/folder.
 
     A bag that was cut off, is damaged or has no stroke is refused: the store's table `refused` says why. Among the bags
     of a folder there are such ones; the exit code is 1 if a bag that was named itself was refused, now or before, or if
@@ -232,7 +232,7 @@ def _report(options: argparse.Namespace) -> None:
 
 def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("store", metavar="STORE", help="folder or URL")
+    add("store", metavar="STORE", help="folder")
     add("name", metavar="NAME", help="name of the stage")
     add("--survey", "--map", required=True, metavar="FILE", help="the survey that the strokes used (formerly --map)")
     add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
