@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import chain, islice
@@ -135,10 +135,9 @@ def _check_finished(bag: Path, files: Sequence[Path]) -> None:
     # A numbered file in a folder may be the first of several that are being copied.
     alone = of_one_mcap and (bag.is_file() or split_number(files[0])[1] < 0)
     if not (alone or files[0].with_name("metadata.yaml").exists()):
-        rest = ", or add what `straightcomp recover` saves" if files[0].suffix == ".mcap" else ""
         raise BagError(
             f"bag {files[0]} was not finished: it has no metadata.yaml; when all its files are there, make it with "
-            f"`ros2 bag reindex`, and add its folder{rest}"
+            f"`ros2 bag reindex`, and add its folder"
         )
 
 
@@ -164,10 +163,6 @@ def _on_this_machine(place: BagPlace) -> Iterator[Path]:
                 files.get_file(f"{path}/{name}", str(bag / name))
             if not place.names:
                 files.get_file(path, str(bag))
-            if not place.names and bag.suffix == ".db3":
-                # Of such a file it says that it is finished.
-                with suppress(FileNotFoundError):
-                    files.get_file(f"{path.rpartition('/')[0]}/metadata.yaml", str(bag.with_name("metadata.yaml")))
         yield bag
 
 
