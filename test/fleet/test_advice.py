@@ -5,10 +5,11 @@ from dataclasses import replace
 from datetime import date, datetime, timedelta, timezone
 
 import numpy as np
+import pyarrow
 import pytest
 
 from straightcomp_ros.fleet.maintenance.advice import advice_json, advice_of
-from straightcomp_ros.fleet.maintenance.day_levels import day_levels, levels_of
+from straightcomp_ros.fleet.maintenance.day_levels import day_levels
 from straightcomp_ros.fleet.maintenance.stage_report import evidence, faults_over_time, stage_report
 from straightcomp_ros.parameters.output_files import json_text
 from straightcomp_ros.stage.due_maintenance import read_advice
@@ -90,12 +91,19 @@ def test_the_place_is_that_of_the_last_days_of_the_move_however_new_or_long_ago_
 def of_strokes(make_levels, guide, maps):
     """Months whose days have as many strokes, forward and backward in turn, with these profiles (k n, m) and maps."""
     sound, each = make_levels(), len(guide) // DAYS
-    columns = {name: np.repeat(values, each) for name, values in sound.columns.items()}
-    forward = np.arange(len(guide)) % 2 == 0
     noise = 0.005 * np.random.default_rng(4).standard_normal(guide.shape)
-    profiles = {"guide_change_um": guide + noise, "error_bins_um": np.zeros(guide.shape)}
-    settings = {"software": ["1"] * len(maps), "map": maps}
-    return levels_of(np.repeat(sound.day, each), forward, columns, sound.x, profiles, settings)
+    columns = {
+        **{name: np.repeat(values, each) for name, values in sound.columns.items()},
+        "start": np.repeat(sound.day, each).astype("datetime64[D]").astype("datetime64[us]"),
+        "direction": ["forward", "backward"] * (len(guide) // 2),
+        "verdict": ["in_order"] * len(guide),
+        "bins_from_mm": np.zeros(len(guide), int),
+        "guide_change_um": list(guide + noise),
+        "error_bins_um": list(np.zeros(guide.shape)),
+        "map_checksum": maps,
+    }
+    same = dict.fromkeys(("software_version", "parameters_checksum"), ["1"] * len(guide))
+    return day_levels(pyarrow.table(columns | same))
 
 
 def test_strokes_with_another_map_are_no_part_of_the_guide_s_history(make_levels):

@@ -135,19 +135,7 @@ def day_levels(strokes: pyarrow.Table) -> DayLevels:
     x, profiles = on_one_grid(strokes)
     profiles = {name: np.where(part[:, np.newaxis], np.nan, values) for name, values in profiles.items()}
     settings = {name: [value or "" for value in strokes[column].to_pylist()] for name, column in SETTINGS.items()}
-    return levels_of(day, strokes["direction"].to_numpy() == "forward", columns, x, profiles, settings)
-
-
-def levels_of(
-    day: NDArray[np.int64],
-    forward: NDArray[np.bool_],
-    columns: Mapping[str, Array],
-    x: Array,
-    profiles: Mapping[str, Array],
-    settings: Mapping[str, Sequence[str]],
-) -> DayLevels:
-    """The levels of strokes in the order of time: as the attributes of :class:`DayLevels`, with an entry for each
-    stroke."""
+    forward = strokes["direction"].to_numpy() == "forward"
     days, first, counts = np.unique(day, return_index=True, return_counts=True)
 
     def levels(values: Array) -> Array:
@@ -159,7 +147,7 @@ def levels_of(
         return found
 
     last = (first + counts - 1).tolist()
-    profiles = {**profiles, GUIDE_BINS: _comparable(profiles[GUIDE_BINS], settings["map"], first)}
+    profiles[GUIDE_BINS] = _comparable(profiles[GUIDE_BINS], settings["map"], first)
     return DayLevels(
         day=days,
         columns={name: levels(values) for name, values in columns.items()},
