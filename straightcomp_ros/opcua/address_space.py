@@ -238,15 +238,8 @@ class AddressSpace:
         self._values.append((node, value))
 
     async def _add_method(self, folder: Node, kind: Command | Order, text: str, command: Commander) -> None:
-        async def called(of: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
+        async def called(_: ua.NodeId, *given: ua.Variant) -> ua.StatusCode | list[ua.Variant]:
             codes, values = ua.StatusCodes, [variant.Value for variant in given]
-            # asyncua leaves it open whose method it is.
-            if of != folder.nodeid:
-                return ua.StatusCode(codes.BadMethodInvalid)
-            if len(given) < len(types):
-                return ua.StatusCode(codes.BadArgumentsMissing)
-            if len(given) > len(types):
-                return ua.StatusCode(codes.BadTooManyArguments)
             # A client may send an array, or no value, of the right type.
             if [variant.VariantType for variant in given] != types or not all(isinstance(one, int) for one in values):
                 return ua.StatusCode(codes.BadInvalidArgument)

@@ -105,7 +105,6 @@ async def test_only_known_operators_command_and_no_client_writes(plain):
     for user in (OPERATOR, VIEWER, None):
         made = await connect(plain.url, user)
         state = made.get_node(path("Status.StateCurrent"))
-        of_another = made.get_node(path("Status")).call_method(path("Commands.Reset"))
         for tried, operators, others in (
             (state.read_value(), "done", "done"),
             (state.write_value(ua.Variant(17, ua.VariantType.Int32)), denied, denied),
@@ -115,9 +114,8 @@ async def test_only_known_operators_command_and_no_client_writes(plain):
             (give(made, "Start", ua.Variant(3, U)), "done", denied),
             (give(made, "ReloadMap"), "done", denied),
             (give(made, "Center", True), "done", denied),
-            (give(made, "Start"), "BadArgumentsMissing", denied),
+            (give(made, "Start"), "BadInvalidArgument", denied),
             (give(made, "Center", ua.Variant(1, U)), "BadInvalidArgument", denied),
-            (of_another, "BadMethodInvalid", denied),
         ):
             assert await outcome(tried) == (operators if user == OPERATOR else others)
     assert plain.commands == [(Command.RESET, 0), (Command.START, 3), (Order.RELOAD_MAP, 0), (Order.CENTER, True)]
@@ -160,8 +158,7 @@ async def test_arguments_of_another_shape_are_refused_and_the_server_goes_on(pla
     for method in methods:
         name = (await method.read_browse_name()).Name
         for arguments in wrong:
-            refusal = await outcome(give(made, name, *arguments))
-            assert refusal in ("BadInvalidArgument", "BadTooManyArguments", "BadArgumentsMissing"), (name, arguments)
+            assert await outcome(give(made, name, *arguments)) == "BadInvalidArgument", (name, arguments)
     assert await outcome(give(made, "Start", ua.Variant(2**32 - 1, U))) == "done"
     assert plain.commands == [(Command.START, 2**32 - 1)]
 
