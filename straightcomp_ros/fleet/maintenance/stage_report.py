@@ -55,7 +55,7 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     advice = advice_of(levels)
     begin, end = levels.date(0), levels.date(-1)
     span = f"{begin} to {end}" if end > begin else f"{begin}"
-    count = f"{_counted(strokes.num_rows, 'stroke')} on {_counted(len(levels.day), 'day')}, {span}"
+    count = f"strokes: {strokes.num_rows}, days: {len(levels.day)}, {span}"
     changes: dict[str, list[LevelChange]] = {name: [] for name in levels.figures}
     for change in (change for one in advice for change in one.changes):
         changes[change.figure].append(change)
@@ -82,15 +82,12 @@ def stage_report(stage: str, strokes: pyarrow.Table) -> str:
     return html_page(f"{stage}, {span}", f"Stage “{stage}”", blocks.paragraph(count), sections, with_plots=drawn_at_all)
 
 
-def _counted(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
 def _advice(levels: DayLevels, advice: list[Advice]) -> tuple[str, str]:
     """Title and content of the first section."""
     if len(levels.day) <= BASELINE:
-        days = _counted(len(levels.day), "day")
-        text = f"{days} with strokes: the first {BASELINE} make the baseline, changes are found after it"
+        text = (
+            f"days with strokes: {len(levels.day)}; the first {BASELINE} make the baseline, changes are found after it"
+        )
         return "", blocks.card("", text, True)
     if not advice:
         return "", blocks.card("Nothing changed.", "All figures are as in the first weeks.", True)
@@ -141,23 +138,15 @@ def _trends(levels: DayLevels, changes: dict[str, list[LevelChange]]) -> list[di
     return rows
 
 
-def _words(row: dict[str, Any]) -> str:
-    """The verdict of a stroke."""
-    return str(row["verdict"]).replace("_", " ")
-
-
 def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
-    columns = ["start", "bag", "stroke", "direction", "encoder_pp_um", "verdict", "reason", "faults"]
+    columns = ["start", "bag", "stroke", "direction", "encoder_pp_um", "verdict", "reason"]
     rows = strokes.select(columns).to_pylist()
-    faulty = [row for row in rows if row["faults"]]
-    bad = [row for row in rows if row["verdict"] != IN_ORDER]
-    largest = sorted(rows, key=lambda row: -row["encoder_pp_um"])[:_SHOWN]
-    lists = (
-        ("Strokes with faults", faulty[::-1], lambda row: ", ".join(row["faults"])),
-        ("Strokes that were not in order", bad[::-1], lambda row: f"{_words(row)}: {row['reason']}"),
-        ("Bags to look at: the largest errors", largest, _words),
-    )
-    for title, found, words in lists:
+    lists = {
+        # A stroke with a fault is among them, which the reason names.
+        "Strokes that were not in order": [row for row in rows if row["verdict"] != IN_ORDER][::-1],
+        "Bags to look at: the largest errors": sorted(rows, key=lambda row: -row["encoder_pp_um"])[:_SHOWN],
+    }
+    for title, found in lists.items():
         shown = [
             {
                 "start (UTC)": f"{row['start']:%Y-%m-%d %H:%M}",
@@ -165,7 +154,7 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
                 "stroke": row["stroke"],
                 "direction": row["direction"],
                 "error p-p / µm": row["encoder_pp_um"],
-                "what": words(row),
+                "what": f"{row['verdict'].replace('_', ' ')}: {row['reason']}",
             }
             for row in found
         ]
