@@ -14,7 +14,7 @@ from rewritten_bag import rewritten
 from straightcomp_ros.analysis.assessment import Assessment
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.interruption import latched_faults
-from straightcomp_ros.fleet.history.strokes_of_bag import binned, date_of_zero, recorded_facts, recorded_name, rows_of
+from straightcomp_ros.fleet.history.strokes_of_bag import binned, date_of_zero, recorded_facts, rows_of
 from straightcomp_ros.offline.what_if import what_if
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.safety.faults import LABELLED
@@ -65,11 +65,6 @@ def test_parameters_that_have_no_effect_on_a_stroke_do_not_change_their_checksum
 
     assert checksum("logger", "output", "another folder") == rows[0].parameters_checksum
     assert checksum("controller", "control.law", "linear") != rows[0].parameters_checksum
-
-
-def test_a_recording_keeps_its_name_in_a_folder_of_another_name(tmp_path):
-    (tmp_path / "run_of_tuesday_0.mcap").write_bytes(b"")
-    assert recorded_name(tmp_path) == "run_of_tuesday"
 
 
 def test_a_description_that_this_version_cannot_read_has_no_identity(evaluation):

@@ -151,23 +151,14 @@ def test_a_month_s_file_that_is_damaged_is_named_with_the_remedy(alone, months, 
     assert files_of(copy) == alone[1]
 
 
-def test_a_copy_of_a_bag_adds_a_place_and_no_strokes(tmp_path):
+def test_a_copy_of_a_bag_adds_a_place_and_no_strokes_and_a_bag_keeps_its_name(tmp_path):
     for name in ("first", "second"):
         shutil.copytree(SMC, tmp_path / "bags" / name)
     store = tmp_path / "store"
     assert added(store, tmp_path / "bags").added == 2 and len(strokes_of(store)) == 2
     sql = "SELECT count(*) AS n, count(DISTINCT checksum) AS k FROM bags"
     assert Store(str(store)).query(sql).to_pylist() == [{"n": 2, "k": 1}]
-
-
-def test_a_bag_that_was_refused_is_added_when_its_recording_has_been_finished(tmp_path):
-    store, tallies = tmp_path / "store", []
-    for sample in ("cut_off", "smc"):
-        bag = shutil.copytree(BAGS / sample, tmp_path / "run")
-        tallies.append(added(store, bag))
-        shutil.rmtree(bag)
-    assert (tallies[0].refused, tallies[1].added) == (1, 1)
-    assert Store(str(store)).query("SELECT * FROM refused").num_rows == 0
+    assert Store(str(store)).query("SELECT DISTINCT bag FROM strokes").to_pylist() == [{"bag": "smc"}]
 
 
 def test_a_sqlite_bag_is_refused_until_its_recorder_has_described_it_at_last(tmp_path):

@@ -191,7 +191,8 @@ def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> tuple
     survey = attachments.get(MAP_ATTACHMENT)
     return stored_name(str(stage.get("name") or "unknown")), {
         "checksum": checksum,
-        "bag": recorded_name(bag),
+        # Whatever its folder is called now.
+        "bag": split_number(found_files(bag)[0][0])[0],
         "identity": identity,
         "parameters_checksum": checksum_of([json.dumps(own, sort_keys=True).encode()]) if own else None,
         "map_checksum": None if survey is None else checksum_of([survey]),
@@ -200,11 +201,6 @@ def recorded_facts(bag: Path, checksum: str, evaluation: BagEvaluation) -> tuple
         # The driver reports on the machine, the others on their computer.
         "host": next((one.hardware_id for node in ("logger", "controller") for one in reports.get(node, ())), None),
     }
-
-
-def recorded_name(bag: Path) -> str:
-    """The name under which a bag was recorded, whatever its folder is called now."""
-    return split_number(found_files(bag)[0][0])[0]
 
 
 def _known(value: float | None) -> float | None:

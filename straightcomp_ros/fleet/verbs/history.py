@@ -234,7 +234,7 @@ def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("store", metavar="STORE", help="folder")
     add("name", metavar="NAME", help="name of the stage")
-    add("--survey", "--map", required=True, metavar="FILE", help="the survey that the strokes used (formerly --map)")
+    add("--survey", required=True, metavar="FILE", help="the survey that the strokes used")
     add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
     add_force(parser)
     add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
