@@ -1,6 +1,6 @@
 """Random motions of the stage: strokes that are held, slowed down, reversed, ended and gone on with, and jogs between,
 with faults that switch the amplifier off on the way. Each runs in the simulation that computes what the graph computes
-in lockstep; with --live the sequences run in one running graph, one after the other, after nine whole strokes.
+in lockstep.
 
 A sequence passes if each stop ends within v/a + 50 ms, the true error p-p is within 1.1 of the largest of whole
 strokes, over as many starts as there are sequences (of more than 300, over 300), the platform stays off its stop, and
@@ -11,28 +11,23 @@ more error until the platform has slid both ways.
 
 import argparse
 import random
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from straightcomp_ros.analysis.record import Array
-from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
-from straightcomp_ros.cli.output import print_json, require_ros
-from straightcomp_ros.contract import STAGE_STATE, TRUTH
+from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.hardware.simulated import SimulatedHardware
-from straightcomp_ros.model.motion import Trajectory, Waypoint, cycles, move
+from straightcomp_ros.model.motion import Trajectory, Waypoint, move
 from straightcomp_ros.model.paced_motion import Pace
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import STARTS, runs_of_starts
 from straightcomp_ros.parameters.node_parameters import node_parameters
-from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.stage.description import StageParameters
-from straightcomp_ros.straightness.guide_map import StraightnessMap, load_map
+from straightcomp_ros.straightness.guide_map import StraightnessMap
 from straightcomp_ros.straightness.residual import peak_to_peak
 from trials.rig import tracked
 
@@ -51,10 +46,6 @@ _RECOVERY = 0.3
 """s after the amplifier was switched on again, until the platform follows."""
 _STILL = 1e-6
 """m/s below which the stage stands."""
-_LATE = 100
-"""Samples in which a live motion has begun."""
-_TO_START_NS = 8_000_000_000
-_PATIENCE_S = 400.0
 _COUNTED = ("stops", "reversals", "faults")
 
 
@@ -63,7 +54,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--sequences", type=whole_number(1), default=1000, metavar="N", help="random sequences (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of the first sequence (default: %(default)s)")
-    add("--live", metavar="DIR", help="run the sequences in a running graph; bag and logs go here")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -73,14 +63,12 @@ def run(options: argparse.Namespace) -> int:
     # Trapezoids have steps of their own.
     values.setdefault("stage", {})["motion.jerk"] = motion.jerk or motion.acceleration / 0.01
     seeds = range(options.seed, options.seed + options.sequences)
-    plans = [planned(node_parameters("driver", values).stage, seed) for seed in seeds]
-    if options.live:
-        normal, found = live(values, plans, Path(options.live).absolute())
-    else:
-        normal = whole_strokes(values, max(STARTS, min(len(seeds), _MOST_STARTS)))
-        found = [judged(*in_lockstep(values, plan)) for plan in tracked(plans, "sequences")]
-    for seed, one in zip(seeds, found, strict=True):
-        one["seed"] = seed
+    stage = node_parameters("driver", values).stage
+    normal = whole_strokes(values, max(STARTS, min(len(seeds), _MOST_STARTS)))
+    found = [
+        judged(*in_lockstep(values, planned(stage, seed))) | {"seed": seed} for seed in tracked(seeds, "sequences")
+    ]
+    for one in found:
         if one["pp_um"] > _ERROR * max(normal) * 1e6:
             one["failed"].append("error")
     failed = [one for one in found if one["failed"]]
@@ -107,7 +95,7 @@ class Act(NamedTuple):
 
     at: int
     what: str  # "pace", "back", "off" or "on"
-    asked: Any = None  # the pace; of a turn the trajectory that joins the motion, once it is known
+    asked: Any = None  # a pace
 
 
 class Plan(NamedTuple):
@@ -181,8 +169,8 @@ def in_lockstep(values: Any, plan: Plan) -> tuple[Plan, StraightnessMap, Array, 
         elif what == "on":
             machine.enable()
         elif what == "back" and machine.motion.moving:
-            turns.append(Act(number, what, back(machine, sample.stamp_ns)))
-            machine.move(turns[-1].asked, sample.stamp_ns)
+            turns.append(Act(number, what))
+            machine.move(back(machine, sample.stamp_ns), sample.stamp_ns)
 
     simulation = Simulation(values, motion=(plan.trajectory, 0), wiring=wiring)
     paces = {act.at: act.asked for act in plan.acts if act.what == "pace"}
@@ -231,85 +219,3 @@ def judged(plan: Plan, straightness: StraightnessMap, x: Array, y: Array) -> dic
         "largest_acceleration_relative": float(np.abs(a).max() / motion.acceleration),
         "failed": [name for name, one in failed.items() if one],
     }
-
-
-def live(values: Any, plans: Sequence[Plan], folder: Path) -> tuple[list[float], list[dict[str, Any]]]:
-    """As :func:`whole_strokes` and :func:`judged`, but of one running graph."""
-    require_ros()
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from std_srvs.srv import SetBool, Trigger
-
-    from straightcomp_ros.cell.launcher import LaunchError
-    from straightcomp_ros.runtime.graph_client import message_from_waypoints
-    from straightcomp_ros.runtime.safety_panel import LATCHED, tripper
-    from straightcomp_ros.runtime.stage_state import stage_state
-    from trials.stand import Stand
-
-    values = {**values, "driver": {**values["driver"], "blend": True}}
-    stage, states = node_parameters("driver", values).stage, [stage_state(DiagnosticStatus())]
-    motion, period_ns = stage.motion, stage.period_ns
-    strokes = Plan(stage, Trajectory(cycles(motion, STARTS)), 0, [])
-    plans = [strokes, *(in_lockstep(values, plan)[0] for plan in plans)]
-    with Stand(folder, values, composed=True) as stand:
-        stand.node.create_subscription(
-            DiagnosticStatus, STAGE_STATE, lambda message: states.append(stage_state(message)), LATCHED
-        )
-        trip = tripper(stand.node)
-
-        def wait(condition: Callable[[], bool]) -> None:
-            if not stand.until(condition, _PATIENCE_S):
-                raise LaunchError(f"the graph does not go on (logs in {folder})")
-
-        def enable() -> None:
-            stand.call(Trigger, "driver/reset_fault")
-            wait(stand.enable)
-
-        def do(act: Act) -> Act:
-            now = act._replace(at=time.time_ns())
-            if act.what == "back":
-                stand.move(message_from_waypoints(act.asked.waypoints))
-            elif act.what == "off":
-                trip(Fault.FOLLOWING_ERROR, "asked for")
-            elif act.what == "on":
-                enable()
-            elif act.asked.end:
-                stand.call(Trigger, "driver/end_motion")
-            else:
-                if not act.asked.hold:
-                    stand.set("driver", {"override": act.asked.override})
-                stand.call(SetBool, "driver/hold", data=act.asked.hold)
-            return now
-
-        def follow(plan: Plan) -> tuple[Plan, int, int]:
-            """Run a motion; the plan with the times of its acts, and those of begin and end, ns since the epoch."""
-            number, begin_ns, acts = states[-1].number, time.time_ns(), list[Act]()
-            stand.move(message_from_waypoints(plan.trajectory.waypoints))
-            for act in plan.acts:
-                stand.spin((begin_ns + act.at * period_ns - time.time_ns()) * 1e-9)
-                acts.append(do(act))
-            wait(lambda: states[-1].number > number and states[-1].condition == "rest")
-            do(Act(0, "pace", Pace()))
-            return plan._replace(acts=acts), begin_ns, time.time_ns()
-
-        wait(lambda: stand.active and len(states) > 1)
-        enable()
-        runs = []
-        for plan in plans:
-            to_start = Waypoint(_TO_START_NS, plan.trajectory.positions[0], 0.0)
-            follow(Plan(stage, Trajectory([to_start]), 0, []))
-            runs.append(follow(plan))
-        stand.stop()
-        truth = read_streams(stand.bag, {TRUTH.topic: TRUTH.layout})[TRUTH.topic]
-    straightness, found = load_map(node_parameters("feedforward", values).stage.guide), list[dict[str, Any]]()
-    for number, (plan, begin_ns, end_ns) in enumerate(runs):
-        stamps = np.arange(truth.stamp[np.searchsorted(truth.stamp, begin_ns)], end_ns, period_ns)
-        x, y = (np.interp(stamps, truth.stamp, truth.columns[name]) for name in ("true_x", "true_y"))
-        if not number:  # the strokes
-            error = straightness.evaluate(x)[0] - y
-            settle, once = round(motion.settle * stage.rate), cycles(motion, 1)[-1].time_ns // period_ns
-            normal = [peak_to_peak(error[k * once + settle : (k + 1) * once - settle]) for k in range(STARTS)]
-            continue
-        acts = [act._replace(at=round((act.at - begin_ns) / period_ns)) for act in plan.acts]
-        one = judged(plan._replace(begun=plan.begun + _LATE, acts=acts), straightness, x, y)
-        found.append(one | {"lost_samples": stamps.size - int(np.isin(stamps, truth.stamp).sum())})
-    return normal, found

@@ -207,10 +207,9 @@ class Stand:
         if self.enable():
             self.fail("the fault was not latched: the amplifier could be switched on")
 
-    def move(self, motion: JointTrajectory | None = None) -> None:
-        """Start a motion, by default the forth and back. The driver refuses one that begins where the stage is not,
-        and while it moves."""
-        self._trajectory.publish(motion or _MOTION)
+    def move(self) -> None:
+        """Start the forth and back. The driver refuses it if the stage is not where it begins, and while it moves."""
+        self._trajectory.publish(_MOTION)
 
     def switch_on(self) -> None:
         """Bring the whole graph to its working state: all nodes active, stage moving, amplifier on.
