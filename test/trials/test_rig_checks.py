@@ -1,6 +1,5 @@
 """The checks of the rigs on the running graph, with a stand that answers as the test says: each fails when it must."""
 
-import json
 import random
 from functools import partial
 from types import SimpleNamespace
@@ -11,12 +10,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 
-from scripts.stage_files import STAGES
-from straightcomp_ros.cell.demonstration import DemonstrationFailed
 from straightcomp_ros.safety.faults import Fault
 from trials import soak as soak_run
-from trials import strokes
-from trials.__main__ import run
 from trials.faults import row_of, trials_of
 from trials.soak import HELD_UP, Look, Soak, gaps, grown
 from trials.stand import Seen, Stand
@@ -153,26 +148,3 @@ def test_a_run_has_passed_only_if_something_was_done_and_nothing_failed(soak, st
     soak.looks.clear()
     stand.fail("the amplifier is 'off'")
     assert soak.figures([])["failures"] == ["the amplifier is 'off'"]
-
-
-@pytest.mark.parametrize(("beside", "code"), [({"true_pp_um": 0.23}, 0), ({"true_pp_um": 0.25}, 1), (None, 1)])
-def test_two_stages_pass_by_their_errors_beside_those_without_the_hosts_stalls_and_fail_with_a_stroke(
-    beside, code, tmp_path, capsys, monkeypatch
-):
-    alone = dict.fromkeys(strokes.FIGURES, 0.2) | {"stalls": 0, "lost_samples": 0, "held_up": "", "verdict": "in_order"}
-
-    def run_together(condition, stages, folder):
-        if len(condition.stages) == 1:
-            return {condition.stages[0]: alone}
-        if beside is None:
-            raise DemonstrationFailed("a node died")
-        return dict.fromkeys(condition.stages, alone | {"undisturbed_pp_um": 0.9, "stalls": 3} | beside)
-
-    monkeypatch.setattr(strokes, "run_together", run_together)
-    monkeypatch.setattr(strokes, "require_ros", lambda: None)
-    words = ["strokes", "--graphs", "composed", "--loads", "quiet", "--priorities", "40", "--runs", "1"]
-    assert run([*words, "--pair", str(STAGES / "gantry.yaml"), "-o", str(tmp_path / "bags")]) == code
-    found = json.loads(capsys.readouterr().out)
-    rows = [one["ratio_to_alone"] for one in found["rows"] if "ratio_to_alone" in one]
-    assert len(found["failures"]) == (beside is None) and len(rows) == (0 if beside is None else 2)
-    assert all(one["undisturbed_pp_um"] == pytest.approx(4.5) for one in rows)
