@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from straightcomp_ros.cli.main import main
 
-RIGS = ("can", "faults", "incidents", "motions", "noise", "power_cuts", "soak", "verdict", "wear")
+RIGS = ("can", "faults", "motions", "noise", "power_cuts", "soak", "verdict", "wear")
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
