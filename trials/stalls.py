@@ -5,16 +5,9 @@
 prints each wake-up from a sleep of 2 ms that is late by 5 ms or more: CPU, time in ns since the epoch, lateness in ms.
 Whatever delays it also delays a node on that CPU: a hypervisor, another program of the same priority, or a node of ours
 that keeps the CPU for so long itself, which looks the same.
-
-    python -m trials.stalls PRIORITY RATE SECONDS
-
-runs the loop of one process at this rate without ROS: machine, feedforward, law, and packing of all messages, alone on
-its CPU. What it misses, no middleware is the reason for.
 """
 
 import contextlib
-import gc
-import json
 import os
 import signal
 import sys
@@ -51,43 +44,7 @@ def _watch(cpu: int, priority: int) -> None:
         before = time.monotonic_ns()
 
 
-def plain_loop(priority: int, rate: int, seconds: int) -> dict[str, object]:
-    """What a loop that computes as ours does, but sends nothing, reports of its periods."""
-    # Not at the top of the file: the watch of the CPUs must begin at once.
-    from straightcomp_ros.bench.graph_bench import bench_parameters
-    from straightcomp_ros.contract import STREAMS
-    from straightcomp_ros.offline.simulation import Simulation
-    from straightcomp_ros.parameters.node_parameters import node_parameters
-    from straightcomp_ros.runtime.loops import PeriodicLoop
-    from straightcomp_ros.timing import realtime
-
-    values = bench_parameters({}, rate=rate, seconds=seconds, priority=priority)
-    simulation = Simulation(values)
-    loop = PeriodicLoop(10**9 // rate, lambda _: None, punctual=True)
-    streams = [(stream.layout.pack, [0.1] * len(stream.layout.columns)) for stream in STREAMS]
-    realtime.apply(node_parameters("driver", values).realtime, graph="plain loop")
-    gc.freeze()
-    gc.disable()
-    loop.run(lambda: True, lambda: None)
-    end = time.monotonic() + seconds
-
-    def turn(*_: object) -> None:
-        for pack, numbers in streams:
-            pack(1, *numbers)
-        loop.turn()
-        if time.monotonic() > end:
-            raise StopIteration
-
-    with contextlib.suppress(StopIteration):
-        while True:
-            simulation.run(observe=turn)
-    return {"periods": rate * seconds, **loop.report()}
-
-
 if __name__ == "__main__":
-    if sys.argv[2:]:
-        print(json.dumps(plain_loop(*map(int, sys.argv[1:]))))
-        sys.exit()
     for one in os.sched_getaffinity(0):
         threading.Thread(target=_watch, args=(one, int(sys.argv[1])), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
