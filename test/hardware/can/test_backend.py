@@ -668,7 +668,7 @@ def test_a_simulated_stage_on_can_is_held_and_takes_another_trajectory_on_its_wa
     assert board.condition == world.host.motion.condition == "held"
     world.host.pace(Pace())
     world.run(0.1)
-    with pytest.raises(ValueError, match="is moving"):
+    with pytest.raises(ValueError, match="moves at"):
         world.host.move(Trajectory(jog(motion, world.host.motion.position(world.now), 0.01)), world.now)
     taken = len(world.samples)
     # A sample is due, but not taken yet.
