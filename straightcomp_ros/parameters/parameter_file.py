@@ -49,17 +49,25 @@ def read_parameter_file(*paths: str | Path, namespace: str = "") -> dict[str, di
         ParameterError: a file cannot be read, is not YAML, is empty, has another layout, or names an unknown node.
         OtherNamespaceError: there are sections for other namespaces only.
     """
+    return _values_of(paths[-1], [section for path in paths for section in _sections_of(path)], namespace)
+
+
+def _sections_of(path: str | Path) -> list[tuple[str, dict[str, Any]]]:
+    try:
+        return node_sections(Path(path))
+    except OSError as error:
+        raise ParameterError(f"parameter file {path}: cannot be read: {error.strerror}") from error
+    except ParameterError as error:
+        raise ParameterError(f"parameter file {path}: {error}") from error
+
+
+def _values_of(
+    path: str | Path, sections: Iterable[tuple[str, dict[str, Any]]], namespace: str
+) -> dict[str, dict[str, Any]]:
+    source = f"parameter file {path}"
     joined: dict[str, dict[str, Any]] = {}
-    for path in paths:
-        source = f"parameter file {path}"
-        try:
-            sections = node_sections(Path(path))
-        except OSError as error:
-            raise ParameterError(f"{source}: cannot be read: {error.strerror}") from error
-        except ParameterError as error:
-            raise ParameterError(f"{source}: {error}") from error
-        for key, given in sections:
-            joined.setdefault(key, {}).update(given)
+    for key, given in sections:
+        joined.setdefault(key, {}).update(given)
     values: dict[str, dict[str, Any]] = {name: {} for name in (STAGE, *NODE_PARAMETERS)}
     before = "".join(f"/{level}" for level in namespace.split("/") if level)
     foreign = []
@@ -130,12 +138,15 @@ def shipped_parameters(
     A parameter file that is named describes the stage too, unless there is a ``stage`` file. ParameterError, too, for
     a fact of the stage file that rcl lets no node have.
     """
-    file = params_file or share_path(DEFAULT_FILE)
-    values = read_parameter_file(file, namespace=namespace)
+    path = params_file or share_path(DEFAULT_FILE)
+    # Once: a pipe cannot be read again.
+    sections = _sections_of(path)
+    values = _values_of(path, sections, namespace)
     if stage or not params_file:
         path = stage or share_path(DEFAULT_STAGE)
-        own = read_parameter_file(path, namespace=namespace)
-        values = read_parameter_file(file, path, namespace=namespace)
+        described = _sections_of(path)
+        own = _values_of(path, described, namespace)
+        values = _values_of(path, [*sections, *described], namespace)
         for node in NODE_PARAMETERS:
             for name in own[node].keys() - values[node].keys():
                 raise ParameterError(

@@ -1,5 +1,6 @@
 import ast
 import inspect
+import os
 import re
 from argparse import Namespace
 from dataclasses import dataclass, is_dataclass
@@ -292,6 +293,19 @@ def test_of_several_sections_and_files_with_a_fact_that_counts_which_a_node_take
             shipped_parameters(str(path), str(stage))
     else:
         assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == together
+
+
+def test_both_files_may_be_pipes_of_a_shell():
+    ends = []
+    for text in ("driver: {ros__parameters: {can.node: 3}}", "/**: {ros__parameters: {stage.rate: 1000}}"):
+        end, written = os.pipe()
+        ends.append(end)
+        with open(written, "w") as pipe:
+            pipe.write(text)
+    read = shipped_parameters(*(f"/dev/fd/{end}" for end in ends))
+    for end in ends:
+        os.close(end)
+    assert read["stage"] == {"rate": 1000} and read["driver"] == {"can.node": 3}
 
 
 def test_parameters_of_ros_itself_are_no_nodes_own_and_a_home_folder_is_found(tmp_path, monkeypatch):
