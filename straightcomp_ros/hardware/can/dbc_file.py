@@ -52,7 +52,7 @@ _ABOUT = re.compile(r'(?:BA_\s+"([^"]*)"\s+(?:BO_|SG_)|VAL_|SIG_VALTYPE_|SG_MUL_
 _LONG_NAME = "SystemMessageLongSymbol"
 _READ = {"GenMsgCycleTime", "GenSigStartValue", "VFrameFormat", "SystemSignalLongSymbol", _LONG_NAME}
 """Attributes that mean something to the driver."""
-_LONGEST_CYCLE_MS = 1e9
+_MOST_PAGES, _LONGEST_CYCLE_MS = 1 << 20, 1e9
 _TOO_LARGE = re.compile(
     r"\b\d{1000,}|\b\d+\.?\d*[eE][-+]?\d{4,}"
     r"|^(?:BO_|SG_)\b[^:]*:[^(]*?(?<!\w)\d{5,}|^SG_MUL_VAL_\s+\d+\s.*?(?<!\w)\d{6,}",
@@ -183,11 +183,17 @@ class Dbc:
 def _refuse_sizes(statements: Iterable[str]) -> None:
     """Raise ValueError for a number in the statements of a message that would fill the memory: cantools writes a letter
     for each bit of a message, and a table for each page of a multiplexer."""
+    pages = 0
     for text in statements:
-        if found := _TOO_LARGE.search(_WORDS.sub("", text)):
+        plain = _WORDS.sub("", text)
+        if found := _TOO_LARGE.search(plain):
             raise ValueError(
                 f"…{found[0][-20:]} in {text.split(maxsplit=1)[0]}; allowed: less than 10000 bits, 100000 pages"
             )
+        if plain.startswith("SG_MUL_VAL_"):
+            pages += sum(max(0, int(last) - int(first)) for first, last in re.findall(r"(\d+)\s*-(\d+)", plain))
+            if pages > _MOST_PAGES:
+                raise ValueError(f"more than {_MOST_PAGES} pages in SG_MUL_VAL_; allowed: no more in a message")
 
 
 def is_fd(message: Message) -> bool:

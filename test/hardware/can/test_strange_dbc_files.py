@@ -287,7 +287,7 @@ REFUSED = {
     },
     **{
         f"pages {ranges}": (f"{MULTIPLEXED}SG_MUL_VAL_ 288 I AMP {ranges};\n", "x.message", "SG_MUL_VAL_")
-        for ranges in ("0-4294967295", "1-1, 5 -99999999999")
+        for ranges in ("0-4294967295", "1-1, 5 -99999999999", ",".join(["0-65535"] * 17))
     },
     **{
         f"a cycle time of {cycle:.12}": (
