@@ -58,7 +58,7 @@ _UNKNOWN = np.array([[0.0], [0.0], [math.nan], [math.nan], [0.0]])
 """A node that was not visited."""
 
 _QUANTITIES = {"correction_m": 1e-3, "speed_m_per_s": 100.0, "rms_m": 1e-3, "bare_rms_m": 1e-3}
-_COLUMNS = {"x_m": 100.0}
+_COLUMNS = {"x_m": 1000.0}
 _COLUMNS |= {f"{way}_{name}": most for way in ("forward", "backward") for name, most in _QUANTITIES.items()}
 """Of a file, and the largest magnitude of each: a larger one is in the wrong unit."""
 _MEASURED = [name for name in _COLUMNS if name.endswith("rms_m")]

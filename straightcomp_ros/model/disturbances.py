@@ -32,7 +32,7 @@ GRAVITY = 9.80665
 """m/s²."""
 _TURNING = 1e-3
 """m/s, over which the cable's drag turns round with the travel."""
-_COLUMNS = {"x_m": 100.0, "force_n": 1000.0}
+_COLUMNS = {"x_m": 1000.0, "force_n": 1000.0}
 """Of a table of force, and the largest magnitude of each."""
 
 
@@ -135,11 +135,13 @@ class Disturbances:
 
 
 def read_force_table(path: Path) -> Table:
-    """Rising x in m and the force in N of a CSV file; ParameterError, which names file and line, if it is refused."""
+    """Rising x in m and the force in N of a CSV file; ParameterError, which names file and row, if it is refused."""
     where = f"parameter 'force_file': {path}"
     x, force = number_rows(bounded_lines(path, where), where, _COLUMNS).T
-    if x.size < 2 or not (np.diff(x) > 0.0).all():
-        raise ParameterError(f"{where}: {x.size} rows; allowed: at least two, with x_m that rises")
+    if x.size < 2:
+        raise ParameterError(f"{where}: {x.size} rows; allowed: at least two")
+    if (falls := np.diff(x) <= 0.0).any():
+        raise ParameterError(f"{where}: x_m {x[1:][falls][0]:.9g} in row {falls.argmax() + 2}; allowed: x_m that rises")
     return tuple(x.tolist()), tuple(force.tolist())
 
 

@@ -182,6 +182,15 @@ def learned():
     return filled
 
 
+def test_what_was_learned_as_far_away_as_a_stroke_may_be_is_read_again(tmp_path):
+    far, again = tables(), tables()
+    nodes, zeros = np.full(9, 1e-16), np.zeros(9)
+    far[True].restore(round(200.0 / FILE_SPACING), zeros, nodes, nodes, zeros)
+    write_tables(tmp_path / "far.csv", "smc", far)
+    read_tables(tmp_path / "far.csv", "smc", again)
+    assert again[True].first == far[True].first
+
+
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "learned.csv"

@@ -61,11 +61,14 @@ def test_forces_over_x_are_cogging_cable_and_table(tmp_path):
     assert [locked_force(table, x, 0.0) for x in (0.0, 0.15, 0.35, 0.9)] == pytest.approx([1.0, 2.0, 1.0, -1.0])
 
 
-@pytest.mark.parametrize("text", ["", "x_m,force_n\n0,1\n", "x_m,force_n\n0,1\n0,2\n", "x_m,force_n\n0,1\n1,nan\n"])
-def test_a_table_of_force_that_does_not_serve_is_refused_by_name(text, tmp_path):
+@pytest.mark.parametrize(
+    ("rows", "named"),
+    [("", "0 rows"), ("0,1\n", "1 rows"), ("0,1\n2,1\n1,2\n", "x_m 1 in row 3"), ("0,nan\n", "line 2")],
+)
+def test_a_table_of_force_that_does_not_serve_is_refused_by_name(rows, named, tmp_path):
     file = tmp_path / "force.csv"
-    file.write_text(text)
-    with pytest.raises(ParameterError, match=r"force\.csv.*allowed"):
+    file.write_text(f"x_m,force_n\n{rows}")
+    with pytest.raises(ParameterError, match=rf"force\.csv.*{named}.*allowed"):
         constants(force_file=str(file))
 
 
