@@ -77,7 +77,7 @@ class HubBus(can.BusABC):
 
         Raises can.CanOperationError if the buffer is full for ``timeout`` s (None: at once), or the hub is gone.
         """
-        if timeout:
+        if timeout and self.fileno() >= 0:
             select.select([], [self._socket], [], timeout)
         self.send_frame(*frame_of(msg)[1:])
 

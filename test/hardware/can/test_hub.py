@@ -131,6 +131,9 @@ def test_a_node_whose_frames_no_node_takes_gets_an_error_and_goes_on_when_they_a
     for call in (partial(bus.send, large), partial(bus.recv, 1.0)):
         with pytest.raises(can.CanOperationError, match="hub"):
             call()
+    bus.shutdown()
+    with pytest.raises(can.CanOperationError):
+        bus.send(large, timeout=0.01)
 
 
 def test_a_node_waits_for_a_frame_as_long_as_it_is_asked_to(world):
