@@ -51,6 +51,8 @@ _VAGUE_WAYS = {"back", "bkwd", "forth", "rearward", "return", "reversed"}
 """Words for a direction that may mean either, or something else."""
 _RUN_WORDS = {"run", "cycle", "pass", "series", "measurement"}
 """What the column of one run may be called, with its number, its direction or both."""
+_BETWEEN = "-.#"
+"""Signs that may stand between the words of a run, as in ``Run #1``, ``Run 1 - forward``."""
 COMPUTED = {
     *["mean", "average", "avg", "median", "max", "min", "range", "rms", "std", "sd", "s", "sigma", "σ", "ø"],
     *["repeatability", "uncertainty"],
@@ -126,7 +128,8 @@ class Column(NamedTuple):
     def _of_one_run(self, also: Collection[str]) -> bool:
         """Whether it is called one run, by words for it, or ``also`` by these. A difference, a mean or a deviation of
         runs says so by a second number, a sign or a word."""
-        others = {*self.words}.difference(DIRECTIONS, _RUN_WORDS, also, [DEVIATION.name, *DEVIATION.synonyms])
+        known = [*DIRECTIONS, *_RUN_WORDS, *also, DEVIATION.name, *DEVIATION.synonyms, *_BETWEEN]
+        others = {*self.words}.difference(known)
         called = not _RUN_WORDS.isdisjoint(self.words) or bool(self.ways)
         return called and len(self.ways) <= 1 and len(self._numbers) <= 1 and all(map(str.isdigit, others))
 
@@ -147,7 +150,7 @@ def column_named(cell: str) -> Column:
         said, unit, plain = _UNKNOWN_UNIT.sub("", text).strip(), "", text
     # A sign after the number of a run is its direction, as in "Run 1-".
     said = re.sub(r"(?<=\d)[+-]$", lambda sign: " forward" if sign[0] == "+" else " backward", said)
-    words = re.findall(r"\d+|[^\W\d_]+|[^\s\w.#-]", said)
+    words = re.findall(r"\d+|[^\W\d_]+|[^\s\w]", said)
     number = [text[len(plain) + 1 :]] if plain != text else []
     for quantity in (X, DEVIATION):
         called = words in [[one] for one in (quantity.name, *quantity.synonyms)]

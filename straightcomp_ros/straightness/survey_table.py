@@ -166,7 +166,7 @@ def table_of(path: Path, every: Sequence[tuple[int, str]], names: Mapping[str, s
         at_head, mark, names_there = _header([*head, *lines], chosen)
         if is_complete(names_there):
             lines, first, delimiter, header = [*head[:at_head], *lines], at_head, mark, names_there
-    runs = runs_of(header)
+    runs = {} if DEVIATION.name in chosen else runs_of(header)
     try:
         header_line = f"survey {path}, line {lines[first - 1][0]}"
         at_x = column_of(X, header_line, header)

@@ -371,7 +371,7 @@ def test_the_deviation_beside_runs_is_read_where_it_is_chosen_or_no_other_column
     [
         *("Run 1 - Run 2 (µm)", "Run Ø (µm)", "Run 2σ (µm)", "mean of run (µm)", "s forward (µm)"),
         *("run 3 (0.1 µm)", "run 3 (µm/m)", "Temp run 1 (°C)", "Run 1 temperature", "Pass"),
-        *("Run 1 (µm) smoothed", "Run 1 (µm) - Run 2", "Run 1 (µm) less Run 2 (µm)"),
+        *("Run 1 (µm) smoothed", "Run 1 (µm) - Run 2", "Run 1 (µm) less Run 2 (µm)", "#"),
     ],
 )
 def test_a_column_that_is_computed_of_runs_or_has_another_unit_or_no_number_is_no_run(read, beside):
@@ -419,6 +419,20 @@ LONG = f"{'a' * 197} um, squared"
 def test_a_column_of_another_unit_than_a_length_cannot_be_chosen(read, name):
     with pytest.raises(SurveyError, match=r"--deviation-column .* does not end with a unit"):
         read(f"x_mm;{name}", *ROWS, names={"deviation": name})
+
+
+@pytest.mark.parametrize("names", ["x_mm;-Straightness (µm)", "x_mm;- deviation [um]", "-X (mm);deviation_um"])
+def test_a_sign_before_the_name_makes_another_quantity_of_a_column(read, names):
+    with pytest.raises(SurveyError, match=r"no column for"):
+        read(names, *ROWS)
+
+
+def test_a_chosen_column_is_that_one_or_none(read):
+    assert (
+        read("x_mm;Y (µm);Y- (µm)", *(f"{row};7" for row in ROWS), names={"deviation": "Y (µm)"}).runs[0].x.size == 24
+    )
+    with pytest.raises(SurveyError, match="no column for deviation"):
+        read("x_mm;Run 1 (µm);Run 2 (µm)", *(f"{row};7" for row in ROWS), names={"deviation": "Run 3 (µm)"})
 
 
 @pytest.mark.parametrize("name", ["Geradheit in µm", "Y-Abweichung_µm", "error, um"])
