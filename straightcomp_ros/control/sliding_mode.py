@@ -66,21 +66,18 @@ def closed_loop_poles(design: SlidingDesign, stage: StageParameters) -> NDArray[
     return np.linalg.eigvals(a - np.outer(b, feedback_gains(design, stage)))
 
 
-def reaching_demand(
-    design: SlidingDesign, stage: StageParameters, y: float, current: float, *, released: bool
-) -> float:
-    """ρ in m/s² that (11) demands at rest at ``y`` >= 0 in m, for the current i_c in A, with nothing integrated.
+def reaching_demand(design: SlidingDesign, stage: StageParameters, y: float, current: float) -> float:
+    """ρ in m/s² that (11) demands at rest on the reference at ``y`` >= 0 in m, for the current i_c in A, with nothing
+    integrated.
 
-    There SAx + SB_r r = ((K̄_y − k)/M) y on the reference (x₁ = 0, ẏ = 0, y = r), with a flexure's stiffness k, and
-    ωn² y more where the platform is ``released`` with r = 0. The matched disturbance is friction over mass and the
-    stiffness error m_y of the magnets. Infinite where |m_i| >= 1.
+    There SAx + SB_r r = ((K̄_y − k)/M) y (x₁ = 0, ẏ = 0, y = r), with a flexure's stiffness k. The matched disturbance
+    is friction over mass and the stiffness error m_y of the magnets. Infinite where |m_i| >= 1.
     """
     actuator, mass = stage.actuator, stage.platform.mass
     m_y, m_i = stiffness_errors(y / actuator.air_gap, current / actuator.bias_current)
     if abs(m_i) >= 1.0:
         return math.inf
-    position = stage.negative_stiffness / mass * y
-    motion = position + design.omega_n**2 * y if released else position
+    motion = stage.negative_stiffness / mass * y
     disturbance = m_y * (actuator.position_stiffness / mass * y) + stage.friction.static / mass
     return (abs(m_i) * abs(motion) + disturbance + design.gamma) / (1.0 - abs(m_i))
 
@@ -90,7 +87,7 @@ def reaching_bound(design: SlidingDesign, stage: StageParameters) -> float:
     with the current that holds position and friction, taken with the sign of y: with the other |m_i| is smaller."""
     actuator, travel = stage.actuator, stage.guide.travel
     hold = (abs(stage.negative_stiffness) * travel + stage.friction.static) / actuator.current_stiffness
-    return reaching_demand(design, stage, travel, min(actuator.bias_current, hold), released=False)
+    return reaching_demand(design, stage, travel, min(actuator.bias_current, hold))
 
 
 class Gains(NamedTuple):

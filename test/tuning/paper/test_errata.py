@@ -121,8 +121,8 @@ def test_free_motion_solves_equation_12():
 
 def test_the_reaching_condition_asks_for_nothing_without_friction_and_cannot_be_met_beyond_the_gain_error_limit():
     frictionless = replace(STAGE, friction=LuGreParameters(coulomb=0.0, static=0.0))
-    assert reaching_demand(DESIGN, frictionless, 0.0, 0.5, released=True) == pytest.approx(DESIGN.gamma)
-    assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * ACTUATOR.air_gap, ACTUATOR.bias_current, released=True))
+    assert reaching_demand(DESIGN, frictionless, 0.0, 0.5) == pytest.approx(DESIGN.gamma)
+    assert math.isinf(reaching_demand(DESIGN, STAGE, 0.6 * ACTUATOR.air_gap, ACTUATOR.bias_current))
 
 
 def test_without_friction_the_sine_is_followed_with_the_lag_of_equation_12_and_with_it_the_platform_sticks(machine):
