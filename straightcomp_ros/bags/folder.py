@@ -106,7 +106,7 @@ class SqliteInput:
         to read it. Source: SQLite's file format, 1.3.3."""
         with self.path.open("rb") as file:
             written_with_log = file.read(20)[18:] == b"\2\2"
-        log = self.path.with_name(f"{self.path.name}-wal")
+        log = _log(self.path)
         return written_with_log and not (log.exists() and log.stat().st_size)
 
     def refused(self, reason: str) -> BagError:
@@ -167,6 +167,18 @@ def found_files(bag: Path) -> tuple[list[Path], list[str]]:
         warnings.warn(f"bag {bag} begins with {found[0].name}: what was recorded before is not there", stacklevel=3)
     # A bag with as many files as its list has them under other names.
     return found, list(listed) if len(listed) > len(found) else _gaps(found)
+
+
+def found_beside(bag: Path, paths: Sequence[Path]) -> list[Path]:
+    """What belongs to a bag next to its files ``paths`` with messages: metadata.yaml, unless it is of other files too,
+    and the logs of SQLite, in which messages may be that are not yet in its file."""
+    folder = bag if bag.is_dir() else bag.parent
+    own = [folder / "metadata.yaml"] if folder == bag or _listed(_information(folder)) == [bag.name] else []
+    return [one for one in (*own, *map(_log, paths)) if one.is_file()]
+
+
+def _log(file: Path) -> Path:
+    return file.with_name(f"{file.name}-wal")
 
 
 def compressed_messages(compression: str) -> str:

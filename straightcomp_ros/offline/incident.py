@@ -1,6 +1,6 @@
 """An incident in one file, for whoever is to say from elsewhere what happened: a zip archive.
 
-It has the bag (what is sound in it, or its end), the parameters of all nodes, the map, the certificate, the last
+It has the bag (a sound copy of it, or of its end), the parameters of all nodes, the map, the certificate, the last
 diagnostics and the faults, what the doctor found on that computer, the nodes' logs, and versions. Secrets are left out
 and named. To read one neither ROS nor the machine is needed.
 """
@@ -11,12 +11,12 @@ import importlib.metadata
 import json
 import platform
 import re
+import shutil
 import stat
 import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -28,10 +28,10 @@ from straightcomp_ros.analysis.assessment import Assessment, assessed
 from straightcomp_ros.analysis.interruption import LatchedFault, latched_faults, played
 from straightcomp_ros.analysis.record import MetricsError
 from straightcomp_ros.bags import MAP_ATTACHMENT, PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags.folder import BagInput, found_files, opened, topic_names
+from straightcomp_ros.bags.folder import BagInput, found_beside, found_files, opened, topic_names
 from straightcomp_ros.bags.information import origin
 from straightcomp_ros.bags.mcap_input import HEAD, rows
-from straightcomp_ros.bags.reader import StreamDecoder, read_attachments
+from straightcomp_ros.bags.reader import StreamDecoder, attachments_of, read_attachments
 from straightcomp_ros.bags.recorded_nodes import read_reports
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import resolved
@@ -205,24 +205,44 @@ def pack(
 
 
 def _copied(bag: Path, place: Path, last: float, left_out: list[str]) -> Path:
-    """A copy in the folder ``place`` of all that is sound in the bag, or of its end; of a damaged bag of all."""
-    skip, gone, kept = 0, 0.0, 0.0
-    if last:
-        with suppress(BagError), opened(bag) as files:
-            skip, gone, kept = _before_the_end(bag, files, last)
-    if not skip:
-        _check_size(bag, sum(one.stat().st_size for one in found_files(bag)[0]))
+    """A copy of the bag in the folder ``place``: its own files, or a recovered bag where something is left out."""
+    copy = place / BAG
+    paths, _ = found_files(bag)
+    secrets: list[str] = []
+    sound, skip, gone, kept = True, 0, 0.0, 0.0
+    try:
+        with opened(bag) as files:
+            _without_secrets(PARAMETERS_ATTACHMENT, attachments_of(files).get(PARAMETERS_ATTACHMENT, b""), secrets)
+            if last:
+                skip, gone, kept = _before_the_end(bag, files, last)
+    except BagError as error:
+        left_out.append(f"what is damaged in the bag: {error}")
+        sound = False
+    if sound and not last:
+        _check_size(bag, sum(one.stat().st_size for one in paths))
+    if sound and not secrets and not last and all(_NAME.fullmatch(f"{BAG}/{one.name}") for one in paths):
+        copy.mkdir()
+        for one in [*paths, *found_beside(bag, paths)]:
+            shutil.copyfile(one, copy / one.name)
+        if paths == [bag] and bag.suffix == ".db3" and bag.with_name("metadata.yaml").is_file():
+            # Its recorder came to its end, also where the list in metadata.yaml is of other files and was left out.
+            (copy / "metadata.yaml").touch()
+        return copy
 
     def edit(name: str, data: bytes) -> bytes:
         return _without_secrets(name, data, left_out) if name == PARAMETERS_ATTACHMENT else data
 
-    found = recover(bag, place / BAG, skip=skip, edit=edit)
-    for name, at, _, reason in found.gaps[:1]:
-        left_out.append(f"bag: damaged places: {len(found.gaps)}, the first at byte {at} of {name}: {reason}")
-    left_out += [f"bag: {name} was not finished, what had not reached the disk is lost" for name in found.unfinished]
+    unfinished = recover(bag, copy, skip=skip, edit=edit).unfinished
+    left_out += [f"bag: {name} was not finished, what had not reached the disk is lost" for name in unfinished]
+    if last and not sound:
+        whole, copy = copy, place / "last" / BAG
+        with opened(whole) as files:
+            skip, gone, kept = _before_the_end(whole, files, last)
+        copy.parent.mkdir()
+        recover(whole, copy, skip=skip)
     if skip:
         left_out.append(f"bag: the first {gone:.1f} s; the last {kept:.1f} s are there")
-    return found.output
+    return copy
 
 
 def _check_size(bag: Path, size: int) -> None:

@@ -12,7 +12,7 @@ from places import REPOSITORY
 from recording import described, record, sqlite_bag
 
 from straightcomp_ros.bags import BagError, mcap_input
-from straightcomp_ros.bags.folder import SqliteInput, found_files, opened
+from straightcomp_ros.bags.folder import SqliteInput, found_beside, found_files, opened
 from straightcomp_ros.bags.mcap_input import message_places
 from straightcomp_ros.bags.reader import read_attachments
 from straightcomp_ros.bags.recorded_nodes import (
@@ -139,6 +139,17 @@ def test_several_recordings_in_a_folder_are_refused_by_their_names(tmp_path, nam
     with pytest.warns(UserWarning, match=names[1]):
         files, _ = found_files(touched(tmp_path / "bag", listed=names[:1]))
     assert [file.name for file in files] == names[:1]
+
+
+def test_beside_the_files_of_a_bag_are_its_own_metadata_and_the_logs_of_sqlite_that_are_there(tmp_path):
+    names = ["run_0.db3", "run_1.db3"]
+    folder = touched(tmp_path / "bag", *names, "run_1.db3-wal", "other.db3-wal")
+    files, log = [folder / name for name in names], folder / "run_1.db3-wal"
+    assert found_beside(folder, files) == found_beside(files[1], files[1:]) == [log]
+    metadata = described(folder, relative_file_paths=names) / "metadata.yaml"
+    assert found_beside(folder, files) == [metadata, log] and found_beside(files[1], files[1:]) == [log]
+    described(folder, relative_file_paths=names[:1])
+    assert found_beside(files[0], files[:1]) == [metadata]
 
 
 @pytest.mark.parametrize(("suffix", "advised"), [("mcap", True), ("db3", False)])

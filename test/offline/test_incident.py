@@ -3,20 +3,25 @@
 import json
 import resource
 import shutil
+import sqlite3
 import subprocess
 import sys
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_of_rows import STORE
 from places import SMC
 from rewritten_bag import rewritten
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as SqliteWriter
 from tiers import nightly
 
-from straightcomp_ros.bags.reader import read_attachments, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_streams
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.contract import ENCODER
+from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.doctor import Finding
 from straightcomp_ros.offline import incident
 from straightcomp_ros.offline.incident import DETAILS, SUMMARY, IncidentError, incident_page, judged, pack, unpack
@@ -80,28 +85,76 @@ def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(
         assert any(one.startswith("secret: ") and named.split(" in ")[0] in one for one in packed.left_out), named
 
 
+def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_out(tmp_path):
+    pack(SMC, tmp_path / "a.zip", [])
+    (file,) = SMC.glob("*.mcap")
+    with zipfile.ZipFile(tmp_path / "a.zip") as archive:
+        assert archive.read(f"bag/{file.name}") == file.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def in_a_log(tmp_path_factory):
+    """The sample run as a bag of SQLite, nearly all of whose messages are still in the log beside its file."""
+    bag = tmp_path_factory.mktemp("sqlite") / "run"
+    with SqliteWriter(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        for stream in STREAMS:
+            connection = writer.add_connection(f"/{stream.topic}", stream.layout.type_name, typestore=STORE)
+            messages = read_messages(SMC, stream.topic)
+            for time_ns, data in zip(messages.log_time, messages.data, strict=True):
+                writer.write(connection, time_ns, data)
+    with closing(sqlite3.connect(next(bag.glob("*.db3")))) as file:
+        file.execute("PRAGMA journal_mode = WAL")
+        file.execute("PRAGMA wal_autocheckpoint = 0")
+        rows = file.execute("SELECT * FROM messages WHERE id > 100").fetchall()
+        file.execute("DELETE FROM messages WHERE id > 100")
+        file.commit()
+        file.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        file.executemany(f"INSERT INTO messages VALUES ({', '.join('?' * len(rows[0]))})", rows)
+        file.commit()
+        yield bag
+
+
+@pytest.mark.parametrize("alone", ["", "alone", "renamed"])
+def test_a_bag_of_sqlite_is_whole_in_its_incident(in_a_log, tmp_path, alone):
+    bag = in_a_log
+    if alone:
+        bag = next(in_a_log.glob("*.db3"))
+    if alone == "renamed":
+        # As one file of several, it is not what metadata.yaml lists.
+        bag = tmp_path / "mine.db3"
+        for one in in_a_log.iterdir():
+            shutil.copyfile(one, tmp_path / one.name.replace("run.db3", bag.name))
+    pack(bag, tmp_path / "a.zip", [])
+    (tmp_path / "opened").mkdir()
+    unpack(tmp_path / "a.zip", tmp_path / "opened")
+    there, here = (judged(one, {}).assessment for one in (in_a_log, tmp_path / "opened" / "bag"))
+    assert there.verdict.in_order and here.verdict == there.verdict
+    assert here.evaluation.received_samples == there.evaluation.received_samples > 1000
+
+
 def test_only_the_end_of_a_sound_bag_is_copied_and_nothing_of_one_that_is_too_large(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(incident, "recover", lambda *given, **how: made.append(recover(*given, **how)) or made[-1])
     pack(SMC, tmp_path / "a.zip", [], last=0.3)
     (one,) = made
     assert 0 < one.saved.total() < one.left_out
+    shutil.copyfile(next(SMC.glob("*.mcap")), tmp_path / "a run.mcap")
+    secret = rewritten(SMC, tmp_path / "secret", lambda _, *one: one, lambda *_: b"driver: {password: one}")
     monkeypatch.setattr(incident, "LARGEST", 1000)
-    with pytest.raises(IncidentError, match="allowed: 1000; pack the end of it with --last"):
-        pack(SMC, tmp_path / "a.zip", [])
+    monkeypatch.setattr(shutil, "copyfile", lambda *_: pytest.fail("it was copied"))
+    for bag in (SMC, tmp_path / "a run.mcap", secret):
+        with pytest.raises(IncidentError, match="allowed: 1000; pack the end of it with --last"):
+            pack(bag, tmp_path / "a.zip", [])
     assert len(made) == 1
 
 
-@pytest.mark.parametrize("last", [0.0, 0.3])
-def test_of_a_damaged_bag_what_is_sound_is_packed_and_the_damage_is_said(tmp_path, last):
+def test_of_a_damaged_bag_the_end_is_packed_and_the_damage_is_said(tmp_path):
     (file,) = SMC.glob("*.mcap")
     data = bytearray(file.read_bytes())
     data[len(data) // 3 : len(data) // 2] = bytes(len(data) // 2 - len(data) // 3)
     (tmp_path / "run.mcap").write_bytes(data)
-    found = pack(tmp_path / "run.mcap", tmp_path / "a.zip", [], last=last)
-    assert found.left_out[0].startswith("bag: damaged places: 1, the first at byte ")
-    unpack(tmp_path / "a.zip", tmp_path)
-    assert judged(tmp_path / "bag", {}).assessment.evaluation.received_samples > 1000
+    found = pack(tmp_path / "run.mcap", tmp_path / "a.zip", [], last=0.3)
+    assert [one.partition(":")[0] for one in found.left_out[:2]] == ["what is damaged in the bag", "bag"]
 
 
 @pytest.mark.parametrize(
@@ -127,7 +180,8 @@ def test_a_run_that_was_cut_off_is_still_cut_off_in_its_incident(tmp_path, last)
     unpack(tmp_path / "a.zip", tmp_path / "opened")
     opened = judged(tmp_path / "opened" / "bag", {})
     assert found.cause == opened.cause and "verdict interrupted: " in found.cause
-    assert any("was not finished" in one for one in found.left_out)
+    # Its page says what the reader noticed, as a report does; what was recovered of the end is a bag of its own.
+    assert ("was not finished" in incident_page(opened, {}, [])) == (last == 0.0)
 
 
 REASON = "no state for 0.5 s: it restarted"
