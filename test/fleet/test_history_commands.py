@@ -98,6 +98,9 @@ def test_a_query_without_a_store_asks_the_default_one_and_prints_many_columns_be
         "COPY (PIVOT strokes ON law USING max(stroke)) TO '{}'",
         "SET enable_profiling = 'json'; SET profiling_output = '{}'; SELECT 1",
         "SELECT * FROM query('COPY strokes TO $${}$$')",
+        "FROM enable_profiling(format='json', save_location='{}'); SELECT 1",
+        "FROM enable_logging(storage='file', storage_path='{}'); SELECT 1",
+        "-- {}",
     ],
 )
 def test_a_query_only_reads(alone, tmp_path, history, statement):
@@ -183,7 +186,8 @@ def test_a_stage_that_was_idle_since_a_day_does_not_keep_the_others_from_their_p
         found = history(verb, *since, "-o", tmp_path / verb)
         assert found.code == 0 and "'stage_0' has no strokes since 2025-10-10" in found.err
         assert [file.name for file in (tmp_path / verb).glob(f"[!.]*{ending}")] == [f"stage_1{ending}"]
-        assert history(verb, *since, "-o", tmp_path / "none", "--name", "stage_0").code == 1
+        found = history(verb, *since, "-o", tmp_path / "none", "--name", "stage_0")
+        assert found.code == 1 and "no strokes since 2025-10-10 of stage_0" in found.err
     assert history("report", tmp_path / "store", "--since", "2025-10-12", "-o", tmp_path / "none").code == 1
     # As a damaged file is to be removed.
     for file in (tmp_path / "store").glob("strokes/*/*/strokes.parquet"):

@@ -138,9 +138,14 @@ class Store:
                     raise HistoryError(f"store {self.folder}: no bag was added there; make it: {make}")
                 self._add_table(database, STROKES, StrokeRow, PARTITIONS)
                 database.execute(_VIEWS)
-                for statement in database.extract_statements(sql):
+                # A function in SELECT could name a file to write, too, as those of logging and profiling do.
+                database.execute("SET lock_configuration = true")
+                statements = database.extract_statements(sql)
+                for statement in statements:
                     if statement.type != duckdb.StatementType.SELECT:
                         raise HistoryError(f"query: {statement.type.name} is not allowed; allowed: SELECT")
+                if not statements:
+                    raise HistoryError("query: there is none; allowed: SELECT")
                 return database.sql(sql).to_arrow_table()
             except duckdb.Error as error:
                 raise HistoryError(f"query: {' '.join(str(error).split())}") from error
