@@ -314,8 +314,10 @@ def _stored_stages(options: argparse.Namespace) -> Iterator[tuple[str, pyarrow.T
         else:
             notes.print(f"stage '{name}' has no strokes{since}")
     if not found:
-        text = f"store {options.store} has no strokes{since}; fill it by `straightcomp history add`"
-        raise CommandFailed(text, exit_code=1 if names else 2)
+        if names:
+            raise CommandFailed(f"store {options.store}: no strokes{since} of {', '.join(names)}")
+        fill = "fill it by `straightcomp history add`"
+        raise CommandFailed(f"store {options.store} has no strokes; {fill}", exit_code=2)
 
 
 def _written(
