@@ -204,6 +204,9 @@ def test_an_mcap_file_without_a_number_or_that_is_named_itself_needs_no_metadata
     (tmp_path / "run").mkdir()
     shutil.copy(SMC / "smc_0.mcap", tmp_path / "run" / name)
     assert added(tmp_path / "store", tmp_path / "run" / named).added == 1
+    # At another place the file alone.
+    fsspec.filesystem("memory").put(str(tmp_path / "run" / name), f"/alone/{name}")
+    assert added(tmp_path / "other", f"memory://alone/{name}").added == 1
 
 
 @pytest.mark.parametrize(

@@ -142,7 +142,7 @@ def _bags(strokes: pyarrow.Table) -> Iterator[tuple[str, str]]:
     columns = ["start", "bag", "stroke", "direction", "encoder_pp_um", "verdict", "reason"]
     rows = strokes.select(columns).to_pylist()
     lists = {
-        # A stroke with a fault is among them, which the reason names.
+        # A stroke with a fault is among them; the reason names it, but where the clock jumped or files are lost.
         "Strokes that were not in order": [row for row in rows if row["verdict"] != IN_ORDER][::-1],
         "Bags to look at: the largest errors": sorted(rows, key=lambda row: -row["encoder_pp_um"])[:_SHOWN],
     }
