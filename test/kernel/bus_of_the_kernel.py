@@ -101,7 +101,7 @@ class EmulatedBoard:
 
     def __init__(self, fd, program="", file=None, **changed):
         own = parameters(fd, BOARD, file, **{"can.firmware": str(program), **changed})
-        self._process = multiprocessing.get_context("fork").Process(target=emulate, args=(own, 0.0))
+        self._process = multiprocessing.get_context("fork").Process(target=emulate, args=(own,))
         self._process.start()
 
     def kill(self):
