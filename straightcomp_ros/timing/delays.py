@@ -8,6 +8,7 @@ so the percentiles of a long time follow from the histograms of its seconds; per
 from __future__ import annotations
 
 import os
+import weakref
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -130,23 +131,24 @@ class StampGaps:
         self._last_ns = _NEVER_NS
 
 
-class CpuWait:
-    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
+class ThreadWaits:
+    """How long the threads of this process wait for a CPU; several :class:`CpuWait` share its looks.
 
     Linux's scheduler counts it for each thread (the second number in ``/proc/PID/task/TID/schedstat``), without the
-    time that a hypervisor takes from the whole machine. A system without these counts reports no wait. Short waits
-    between two looks add up: look often to distinguish one long wait from many short ones.
+    time that a hypervisor takes from the whole machine. A system without these counts reports no wait.
     """
 
     def __init__(self, threads: Path = Path("/proc/self/task")) -> None:
         self._threads = threads
         self._files: dict[str, BinaryIO] = {}
         self._waited_ns: dict[str, int] = {}
-        self._longest_ns = 0
+        self._turn = 0
+        self.readers: weakref.WeakSet[CpuWait] = weakref.WeakSet()
 
     def look(self) -> None:
-        """Read how long the threads have waited since the last look."""
-        for thread, file in list(self._files.items()):
+        """Read how long the threads have waited since the last look at them: each reader's look is at its share."""
+        longest_ns, self._turn = 0, self._turn + 1
+        for thread, file in list(self._files.items())[self._turn % len(self.readers) :: len(self.readers)]:
             try:
                 waited_ns = int(os.pread(file.fileno(), 100, 0).split()[1])
             except (OSError, IndexError, ValueError):
@@ -154,15 +156,40 @@ class CpuWait:
                 self._files.pop(thread).close()
                 self._waited_ns.pop(thread, None)
                 continue
-            self._longest_ns = max(self._longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
+            longest_ns = max(longest_ns, waited_ns - self._waited_ns.get(thread, waited_ns))
             self._waited_ns[thread] = waited_ns
+        for reader in self.readers:
+            reader.longest_ns = max(reader.longest_ns, longest_ns)
 
-    def take_us(self) -> float:
-        """The longest wait since the last call, in µs; threads started since then are included from now on."""
+    def find(self) -> None:
+        """Include the threads that have started since the last call."""
         with suppress(OSError):
             for thread in set(os.listdir(self._threads)) - set(self._files):
                 with suppress(OSError):
                     self._files[thread] = (self._threads / thread / "schedstat").open("rb")
-        self.look()
-        longest_ns, self._longest_ns = self._longest_ns, 0
+
+
+_OWN = ThreadWaits()
+
+
+class CpuWait:
+    """The longest time for which a thread of this process was ready to run but got no CPU, between two looks.
+
+    Short waits between two looks add up: look often to distinguish one long wait from many short ones.
+    """
+
+    def __init__(self, waits: ThreadWaits = _OWN) -> None:
+        self._waits = waits
+        self.longest_ns = 0
+        waits.readers.add(self)
+
+    def look(self) -> None:
+        """Look at this node's share of the threads."""
+        self._waits.look()
+
+    def take_us(self) -> float:
+        """The longest wait since the last call, in µs; threads started since then are included from now on."""
+        self._waits.find()
+        self._waits.look()
+        longest_ns, self.longest_ns = self.longest_ns, 0
         return longest_ns * 1e-3

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from straightcomp_ros.timing.delays import NOTHING, CpuWait, Distribution, Histogram, StampGaps
+from straightcomp_ros.timing.delays import NOTHING, CpuWait, Distribution, Histogram, StampGaps, ThreadWaits
 
 PERIOD = 500_000
 
@@ -117,12 +117,15 @@ def test_the_longest_wait_of_a_thread_from_look_to_look_counts_once_it_was_seen_
 
     wait("11", 5_000_000_000)
     wait("12", 1_000_000_000)
-    cpu_wait = CpuWait(tmp_path)
-    assert cpu_wait.take_us() == 0.0
+    waits = ThreadWaits(tmp_path)
+    cpu_wait, of_another_node = CpuWait(waits), CpuWait(waits)
+    assert cpu_wait.take_us() == of_another_node.take_us() == 0.0  # each looks at a share of the threads
     for thread, ns in (("11", 3_000_000), ("12", 180_000_000), ("11", 7_000_000)):
         wait(thread, ns)
         cpu_wait.look()
-    assert cpu_wait.take_us() == pytest.approx(180_000.0)
+        of_another_node.look()
+    assert cpu_wait.take_us() == of_another_node.take_us() == pytest.approx(180_000.0)
+    del of_another_node
     assert cpu_wait.take_us() == 0.0
     wait("13", 900_000_000)
     (tmp_path / "11" / "schedstat").write_text("")  # ended
@@ -130,10 +133,10 @@ def test_the_longest_wait_of_a_thread_from_look_to_look_counts_once_it_was_seen_
     assert cpu_wait.take_us() == pytest.approx(4_000.0)
     wait("13", 2_000_000)
     assert cpu_wait.take_us() == pytest.approx(2_000.0)
-    for file in cpu_wait._files.values():
+    for file in waits._files.values():
         file.close()
     # A system without these counts.
-    assert CpuWait(tmp_path / "absent").take_us() == 0.0
+    assert CpuWait(ThreadWaits(tmp_path / "absent")).take_us() == 0.0
 
 
 def test_linux_counts_a_process_that_others_keep_from_its_cpu():
