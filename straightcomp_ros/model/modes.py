@@ -30,8 +30,8 @@ MODE_STATE = 18
 
 
 @dataclass(frozen=True)
-class ModeParameters:
-    """One resonance, and how well it is known."""
+class TrueModeParameters:
+    """One resonance."""
 
     frequency: float = parameter(0.0, "Frequency; 0: there is no such mode", "[0, 100000] Hz")
     damping: float = parameter(0.01, "Damping ratio", f"[{LEAST_DAMPING}, {MOST_DAMPING}]")
@@ -43,9 +43,6 @@ class ModeParameters:
         "Participation φ_e at the encoder of y; its sign differs from that at the coils if they are apart",
         "[-100, 100]",
     )
-    frequency_error: float = parameter(0.03, "Frequency: uniform within ± this fraction of it", "[0, 0.5]")
-    damping_factor: float = parameter(1.5, "Damping: between one over this factor and this factor", "[1, 100]")
-    participation_error: float = parameter(0.2, "φ_c φ_e: uniform within ± this fraction of it", "[0, 0.9]")
 
     @property
     def residue(self) -> float:
@@ -70,6 +67,15 @@ class ModeParameters:
 
 
 @dataclass(frozen=True)
+class ModeParameters(TrueModeParameters):
+    """One resonance as it is described, and how well it is known."""
+
+    frequency_error: float = parameter(0.03, "Frequency: uniform within ± this fraction of it", "[0, 0.5]")
+    damping_factor: float = parameter(1.5, "Damping: between one over this factor and this factor", "[1, 100]")
+    participation_error: float = parameter(0.2, "φ_c φ_e: uniform within ± this fraction of it", "[0, 0.9]")
+
+
+@dataclass(frozen=True)
 class ModesParameters:
     """The resonances of a platform, the strongest ones."""
 
@@ -87,15 +93,20 @@ class ModesParameters:
 
 
 @dataclass(frozen=True)
-class TrueModesParameters(ModesParameters):
-    """The resonances of a simulated platform, with descriptions of their own."""
+class TrueModesParameters:
+    """The resonances of a simulated platform, in place of those described."""
 
-    first: ModeParameters = group(
-        ModeParameters, "First resonance of the simulated machine, in place of those described"
+    first: TrueModeParameters = group(
+        TrueModeParameters, "First resonance of the simulated machine, in place of those described"
     )
-    second: ModeParameters = group(
-        ModeParameters, "Second resonance of the simulated machine, in place of those described"
+    second: TrueModeParameters = group(
+        TrueModeParameters, "Second resonance of the simulated machine, in place of those described"
     )
+
+    @property
+    def as_described(self) -> ModesParameters:
+        """The same as they would be described."""
+        return ModesParameters(*(ModeParameters(**vars(mode)) for mode in (self.first, self.second)))
 
 
 def off(mode: ModeParameters, frequency: float, damping: float, participation: float) -> ModeParameters:

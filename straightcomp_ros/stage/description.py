@@ -263,8 +263,8 @@ def true_plant(stage: StageParameters, truth: TruthParameters) -> PlantParameter
     """The simulated machine; ParameterError if its air gap does not hold the mechanical stop, or if its table of force
     over x is refused."""
     plant = deviating(stage.plant, truth.factors)
-    if truth.modes.present:
-        plant = dataclasses.replace(plant, platform=dataclasses.replace(plant.platform, modes=truth.modes))
+    if (modes := truth.modes.as_described).present:
+        plant = dataclasses.replace(plant, platform=dataclasses.replace(plant.platform, modes=modes))
     contact = truth.contact
     if contact.model == DESCRIBED:
         contact = dataclasses.replace(contact, model=stage.friction.model)
