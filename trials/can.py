@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from straightcomp_ros.bench.step_costs import cost
-from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, in_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
@@ -60,7 +60,7 @@ _START_NS = 1_700_000_000_000_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    kind, text = whole_number(1000), "samples sent for each kind of fault (default: %(default)s)"
+    kind, text = in_range(int, 1000), "samples sent for each kind of fault (default: %(default)s)"
     parser.add_argument("--frames", type=kind, default=20_000, help=text)
 
 

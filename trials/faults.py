@@ -17,7 +17,7 @@ from operator import methodcaller
 from typing import Any, NamedTuple
 
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED, LaunchError
-from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, in_range
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 from straightcomp_ros.hardware.simulated import SimulatedParameters
 from straightcomp_ros.parameters.node_parameters import STAGE, CellNodeParameters, ControllerNodeParameters
@@ -222,7 +222,7 @@ def row_of(trial: Trial, injected: int, times_ms: Sequence[float], failures: Seq
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    kind = whole_number(1)
+    kind = in_range(int, 1)
     parser.add_argument("--injections", type=kind, default=20, metavar="N", help="of each fault (default: %(default)s)")
     parser.add_argument("--only", metavar="TEXT", default="", help="inject only faults with this text in their name")
     parser.add_argument("--composed", action="store_true", help="driver, feedforward and controller in one process")

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from straightcomp_ros.analysis.record import Array
-from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, whole_number
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, in_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.hardware.simulated import SimulatedHardware
 from straightcomp_ros.model.motion import Trajectory, Waypoint, move
@@ -52,7 +52,7 @@ _COUNTED = ("stops", "reversals", "faults")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
-    add("--sequences", type=whole_number(1), default=1000, metavar="N", help="random sequences (default: %(default)s)")
+    add("--sequences", type=in_range(int, 1), default=1000, metavar="N", help="random sequences (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of the first sequence (default: %(default)s)")
 
 

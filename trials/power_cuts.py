@@ -25,7 +25,7 @@ from straightcomp_ros.bags.reader import read_messages
 from straightcomp_ros.bags.recorder import Recorder
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.topics import Topic, TopicQos
-from straightcomp_ros.cli.options import whole_number
+from straightcomp_ros.cli.options import in_range
 from straightcomp_ros.cli.output import CommandFailed, print_json
 from straightcomp_ros.contract import ENCODER
 from trials.rig import tracked
@@ -161,8 +161,8 @@ def cut_off(folder: Path, seconds: float, cuts: int) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of recording (default: %(default)s)")
-    number = whole_number(1)
-    parser.add_argument("--cuts", type=number, default=1000, help="moments of a power cut (default: %(default)s)")
+    kind = in_range(int, 1)
+    parser.add_argument("--cuts", type=kind, default=1000, help="moments of a power cut (default: %(default)s)")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -35,7 +35,7 @@ from straightcomp_ros.bags.reader import read_streams
 from straightcomp_ros.bags.recovery import default_output, recover
 from straightcomp_ros.bench.graph_bench import usage
 from straightcomp_ros.cell.launcher import COMPOSED, LaunchError
-from straightcomp_ros.cli.options import add_parameter_options, check_range, chosen_parameters
+from straightcomp_ros.cli.options import add_parameter_options, chosen_parameters, in_range
 from straightcomp_ros.cli.output import notes, print_json, require_ros
 from straightcomp_ros.contract import DIAGNOSTICS, ENCODER
 from straightcomp_ros.control.laws import LAWS
@@ -89,7 +89,8 @@ _REFUSED: tuple[tuple[str, Mapping[str, Any]], ...] = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
-    parser.add_argument("--minutes", type=float, default=30.0, help="duration of the actions in minutes (default: 30)")
+    kind, text = in_range(float, 0.0, 7 * 24 * 60.0), "duration of the actions in minutes (default: 30)"
+    parser.add_argument("--minutes", type=kind, default=30.0, help=text)
     parser.add_argument("--seed", type=int, default=1, help="seed of the random choices (default: 1)")
     parser.add_argument("--composed", action="store_true", help="driver, feedforward and controller in one process")
     add_output(parser)
@@ -97,7 +98,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     require_ros()
-    check_range("--minutes", options.minutes, 0.0, 7 * 24 * 60.0)
     values, rng, begin = trial_parameters(chosen_parameters(options)), random.Random(options.seed), time.monotonic()
     stage, priority = node_parameters("feedforward", values).stage, values["driver"].get("realtime.priority", 0)
     with output(options) as folder:

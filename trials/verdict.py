@@ -27,7 +27,7 @@ from straightcomp_ros.analysis.judgement import AT_STOP, Verdict
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import StrokeRecord
 from straightcomp_ros.analysis.run_verdict import verdict_on
-from straightcomp_ros.cli.options import whole_number
+from straightcomp_ros.cli.options import in_range
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.offline.scenario import laws_of, make_scenario
 from straightcomp_ros.offline.starts import with_values
@@ -80,7 +80,7 @@ class Drawn(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add, count = parser.add_argument, whole_number(0)
+    add, count = parser.add_argument, in_range(int, 0)
     add("--sound", type=count, default=50, metavar="N", help="sound runs (default: %(default)s)")
     add("--unsound", type=count, default=2, metavar="N", help="unsound runs of each cause (default: %(default)s)")
     add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: %(default)s)")

@@ -29,7 +29,7 @@ from straightcomp_ros.analysis.evaluation import BagEvaluation
 from straightcomp_ros.analysis.interruption import encoder_run
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.analysis.record import Array
-from straightcomp_ros.cli.options import output_folder, whole_number
+from straightcomp_ros.cli.options import in_range, output_folder
 from straightcomp_ros.cli.output import print_json
 from straightcomp_ros.fleet.history.rows import StrokeRow, checksum_of, schema_of, sealed, table_of
 from straightcomp_ros.fleet.history.store import STROKES
@@ -252,7 +252,7 @@ def write_store(folder: Path, pool: Pool, *, days: int = DAYS, begin: int = BEGI
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add, count = parser.add_argument, whole_number(1)
+    add, count = parser.add_argument, in_range(int, 1)
     add("--years", type=count, default=10, metavar="N", help="stage-years of each wear (default: %(default)s)")
     add("--sound", type=count, default=50, metavar="N", help="stage-years without wear (default: %(default)s)")
     add("--store", metavar="DIR", help="also write a store with a year of each wear, to try the other verbs on")

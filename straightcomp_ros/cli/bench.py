@@ -13,20 +13,17 @@ from straightcomp_ros.cli.options import (
     add_json,
     add_parameter_options,
     add_repeatable,
-    check_range,
     chosen_parameters,
+    in_range,
     output_folder,
     settings,
-    whole_number,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, require_ros, working
 from straightcomp_ros.cli.results import rounded, titled_table
 
 SUMMARY = "measure the graph's timing, or the cost of its functions"
 PURPOSE = "judge"
-_SHORTEST_S, _LONGEST_S = 2.0, 86400.0
 _SIMULATIONS = 3
-_MOST_REPEATS = 10_000
 _LATENCY_WORDS = {"p50": "p50", "p99": "p99", "p99.9": "p999", "max": "max"}
 
 
@@ -35,7 +32,7 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--rate", type=int, metavar="HZ", help="samples per second (default: the stage's)")
     seconds = "length of the window (default: %(default)s); the bag takes about 1 MB/s"
-    add("--seconds", type=float, default=20.0, help=seconds)
+    add("--seconds", type=in_range(float, 2.0, 86400.0), default=20.0, help=seconds)
     priority = "run all nodes at SCHED_FIFO priority N (default: normal scheduling; formerly --fifo)"
     add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
     against = "repeat with this parameter, e.g. controller.trigger=timer, and print the ratio of both"
@@ -43,7 +40,7 @@ def _graph_arguments(parser: argparse.ArgumentParser) -> None:
     add("--composed", action="store_true", help="repeat with driver, feedforward and controller in one process")
     add("--view", action="store_true", help="repeat with the live view open")
     rounds = "measure all of these in turns, N times, and compare their medians (default: %(default)s)"
-    add("--rounds", type=whole_number(1), default=1, metavar="N", help=rounds)
+    add("--rounds", type=in_range(int, 1), default=1, metavar="N", help=rounds)
     add("--output", "-o", metavar="DIR", help="keep bags and logs here (default: they are removed)")
     add_json(parser)
 
@@ -58,7 +55,6 @@ def _graph(options: argparse.Namespace) -> None:
     from straightcomp_ros.parameters.node_parameters import STAGE, changed
 
     require_ros()
-    check_range("--seconds", options.seconds, _SHORTEST_S, _LONGEST_S)
     seconds = options.seconds
     given, asked = chosen_parameters(options), {"rate": options.rate, "seconds": seconds, "priority": options.priority}
     values = bench_parameters(given, **asked)
@@ -163,7 +159,7 @@ def _print_measurement(figures: Mapping[str, Any], title: str) -> None:
 def _step_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     repeats = "repeats of 1000 calls of each function (default: %(default)s)"
-    parser.add_argument("--repeats", type=int, default=25, help=repeats)
+    parser.add_argument("--repeats", type=in_range(int, 1, 10_000), default=25, help=repeats)
     add_json(parser)
 
 
@@ -173,7 +169,6 @@ def _step(options: argparse.Namespace) -> None:
     from straightcomp_ros.bench.step_costs import law_costs, message_costs, simulation_cost
     from straightcomp_ros.parameters.node_parameters import node_parameters
 
-    check_range("--repeats", options.repeats, 1, _MOST_REPEATS)
     values = chosen_parameters(options)
     controller = node_parameters("controller", values)
     with working("timing"):

@@ -17,8 +17,8 @@ from straightcomp_ros.cli.options import (
     add_repeatable,
     add_setting_option,
     add_stage_argument,
-    check_range,
     chosen_parameters,
+    in_range,
     named_files,
     stage_values,
 )
@@ -26,8 +26,6 @@ from straightcomp_ros.cli.output import CommandFailed, console, notes, print_jso
 
 SUMMARY = "a CAN bus between processes, recorded buses, and frames in C"
 PURPOSE = "set up"
-_HIGHEST_PRIORITY = 98
-_SLOWEST, _FASTEST = 0.01, 100.0
 
 
 def _hub_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +37,7 @@ def _hub_arguments(parser: argparse.ArgumentParser) -> None:
     add_repeatable(parser, "--fault", "KIND=RATE", faults, type=_rate)
     add("--seed", type=int, default=0, help="seed of the faults (default: %(default)s)")
     priority = "SCHED_FIFO priority; best that of the nodes (default: normal scheduling; formerly --fifo)"
-    add("--priority", "--fifo", type=int, default=0, metavar="N", help=priority)
+    add("--priority", "--fifo", type=in_range(int, 0, 98), default=0, metavar="N", help=priority)
     add_json(parser)
 
 
@@ -51,7 +49,6 @@ def _hub(options: argparse.Namespace) -> None:
     from straightcomp_ros.hardware.can.hub import Faults, Hub
     from straightcomp_ros.timing import realtime
 
-    check_range("--priority", options.priority, 0, _HIGHEST_PRIORITY)
     try:
         faults = Faults(dict(options.fault), options.seed) if options.fault else None
     except ValueError as error:
@@ -84,7 +81,7 @@ def _replay_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("log", metavar="LOG", type=Path, help="recorded frames: .log, .blf, .asc, .trc …")
     add_parameter_options(parser)
-    add("--speed", type=float, default=1.0, help="speed of the play (default: as recorded)")
+    add("--speed", type=in_range(float, 0.01, 100.0), default=1.0, help="speed of the play (default: as recorded)")
     add("--channel", metavar="NAME", help="bus in LOG whose frames are sent, if LOG has several")
     add_json(parser)
 
@@ -104,7 +101,6 @@ def _replay(options: argparse.Namespace) -> None:
     from straightcomp_ros.hardware.interface import HardwareError
     from straightcomp_ros.parameters.node_parameters import node_parameters
 
-    check_range("--speed", options.speed, _SLOWEST, _FASTEST)
     log = f"log '{options.log}'"
     if not options.log.is_file():
         raise CommandFailed(f"{log}: No such file; name a recorded bus", exit_code=2)

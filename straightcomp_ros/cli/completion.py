@@ -8,6 +8,7 @@
 The script holds all it needs: pressing TAB starts no Python."""
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 SUMMARY = "print a script for completion in bash, zsh, tcsh or fish"
@@ -30,13 +31,10 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _complete(parser: argparse.ArgumentParser, files: Any) -> None:
-    """Offer ``files`` where any text may follow."""
+    """Offer ``files`` where any text or a path may follow."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for inner in action.choices.values():
                 _complete(inner, files)
-        elif action.nargs != 0 and action.choices is None:
-            # A function that reads a number says so.
-            kind = getattr(action.type, "__annotations__", {}).get("return", action.type)
-            if kind not in (int, float):
-                action.complete = files  # type: ignore[attr-defined]
+        elif action.nargs != 0 and action.choices is None and action.type in (None, Path):
+            action.complete = files  # type: ignore[attr-defined]

@@ -28,9 +28,9 @@ from straightcomp_ros.cli.options import (
     add_namespace,
     add_parameter_options,
     chosen_parameters,
+    in_range,
     named_files,
     output_folder,
-    whole_number,
 )
 from straightcomp_ros.cli.output import (
     CommandFailed,
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     strict = "exit code 1 also for a run that a busy computer disturbed (verdict starved), and no repeat"
     add("--strict", action="store_true", help=strict)
     add_namespace(parser)
-    add("--strokes", type=whole_number(1), metavar="N", help="strokes forward and back (default: the parameters')")
+    add("--strokes", type=in_range(int, 1), metavar="N", help="strokes forward and back (default: the parameters')")
     add_force(parser)
     add_json(parser)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from straightcomp_ros.analysis.figure_words import in_words, with_digits
-from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, check_range, output_file
+from straightcomp_ros.cli.options import add_force, add_json, add_repeatable, in_range, output_file
 from straightcomp_ros.cli.output import (
     CommandFailed,
     console,
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--report", metavar="FILE", help="also write a report with interactive plots (one HTML file)")
     parser.add_argument(
         "--sensor-uncertainty",
-        type=float,
+        type=in_range(float, 0.0, 1e3, "µm"),
         metavar="UM",
         help="standard uncertainty of a recorded displacement sensor, to measure the guide by it in place of the map",
     )
@@ -53,10 +53,7 @@ def run(options: argparse.Namespace) -> None:
     from straightcomp_ros.analysis.assessment import checked_limits
 
     remap = parsed_remap(options.remap)
-    sensor = options.sensor_uncertainty
-    if sensor is not None:
-        check_range("--sensor-uncertainty", sensor, 0.0, 1e3, "µm")
-        sensor *= 1e-6
+    sensor = None if options.sensor_uncertainty is None else options.sensor_uncertainty * 1e-6
     report = output_file(options, "--report")
     assessment = _assessed(Path(options.bag), remap, sensor)
     other = _assessed(Path(options.compare), remap, sensor) if options.compare else None

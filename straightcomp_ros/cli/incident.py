@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from shlex import quote
 
-from straightcomp_ros.cli.options import add_force, add_json, output_file, output_folder
+from straightcomp_ros.cli.options import add_force, add_json, in_range, output_file, output_folder
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, working
 from straightcomp_ros.parameters.output_files import clear, write_whole
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output = "the file, or with open the folder (default: incident_TIME.zip; FILE without its ending)"
     add("--output", "-o", metavar="PATH", help=output)
     last = "pack the last seconds of the bag, and what came before from the amplifier's switch-on (default: all)"
-    add("--last", type=float, default=0.0, metavar="SECONDS", help=last)
+    add("--last", type=in_range(float, 0.0), default=0.0, metavar="SECONDS", help=last)
     add("--logs", metavar="DIR", help="folder of the nodes' logs (default: logs/ beside the bag)")
     add_force(parser)
     add_json(parser)
@@ -36,8 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     if (options.bag == _OPEN) != bool(options.file):
         raise CommandFailed("allowed: incident BAG, or incident open FILE", exit_code=2)
-    if not 0.0 <= options.last < float("inf"):
-        raise CommandFailed(f"--last: {options.last:g} s; allowed: >= 0", exit_code=2)
     (_open if options.file else _pack)(options)
 
 

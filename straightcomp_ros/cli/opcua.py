@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from straightcomp_ros.cli import Tool
-from straightcomp_ros.cli.options import add_json, whole_number
+from straightcomp_ros.cli.options import add_json, in_range
 from straightcomp_ros.cli.output import CommandFailed, notes, print_json, print_written
 from straightcomp_ros.opcua.admission import OPERATOR, ROLES, OpcuaParameters, add_user
 
@@ -45,7 +45,7 @@ def _cycle_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--url", default=OpcuaParameters().endpoint, help="endpoint (default: %(default)s)")
     add("--user", required=True, metavar="NAME", help="one who may command")
-    add("--strokes", type=whole_number(1), default=1, help="strokes forward and back (default: %(default)s)")
+    add("--strokes", type=in_range(int, 1), default=1, help="strokes forward and back (default: %(default)s)")
     add("--progress", action="store_true", help="print lines 'progress FRACTION'")
     add("--certificates", type=Path, metavar="DIR", help="folder of this client's certificate.der and key.pem: encrypt")
     add("--server-certificate", type=Path, metavar="FILE", help="the gateway's certificate.der, with --certificates")

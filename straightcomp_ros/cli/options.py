@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from straightcomp_ros.cli.output import CommandFailed
 from straightcomp_ros.parameters.output_files import check_writable, same_or_within
@@ -15,12 +15,7 @@ from straightcomp_ros.parameters.output_files import check_writable, same_or_wit
 if TYPE_CHECKING:
     from straightcomp_ros.straightness.guide_map import MapParameters
 
-
-def check_range(option: str, value: float, least: float, most: float = math.inf, unit: str = "") -> None:
-    """Raise CommandFailed with exit code 2 if an option's value is outside ``least`` to ``most``, or NaN."""
-    if not least <= value <= most:
-        allowed = f">= {least:.4g}" if most == math.inf else f"{least:.4g} to {most:.7g}"
-        raise CommandFailed(f"{option} {value:g}; allowed: {allowed}{unit and ' '}{unit}", exit_code=2)
+N = TypeVar("N", int, float)
 
 
 def add_repeatable(
@@ -54,15 +49,18 @@ def add_dask(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--dask", default="", metavar="ADDRESS", type=kind, help=text)
 
 
-def whole_number(least: int) -> Callable[[str], int]:
-    """The type of an option that takes whole numbers from ``least`` on."""
+def in_range(kind: type[N], least: float, most: float = math.inf, unit: str = "") -> Callable[[str], N]:
+    """The type of an option that takes finite numbers from ``least`` to ``most``, both included."""
 
-    def number(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and int(text) >= least):
-            raise argparse.ArgumentTypeError(f"{text!r}; allowed: a whole number >= {least}")
-        return int(text)
+    def within(text: str) -> N:
+        with suppress(ValueError):
+            if least <= (value := kind(text)) <= most and value < math.inf:
+                return value
+        allowed = f">= {least:.10g}" if most == math.inf else f"{least:.10g} to {most:.10g}"
+        whole = "a whole number " if kind is int else ""
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {whole}{allowed}{unit and ' '}{unit}")
 
-    return number
+    return within
 
 
 def add_json(parser: argparse._ActionsContainer) -> None:

@@ -15,8 +15,8 @@ from straightcomp_ros.cli.options import (
     add_json,
     add_parameter_options,
     chosen_parameters,
+    in_range,
     output_file,
-    whole_number,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, working
 from straightcomp_ros.cli.results import (
@@ -41,9 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter_options(parser)
     add = parser.add_argument
     add("--delay", type=float, metavar="SAMPLES", help="command delay in sampling periods (default: the stage's)")
-    add("--strokes", type=whole_number(1), default=1, metavar="N", help="cycles forward and back (default: 1)")
+    add("--strokes", type=in_range(int, 1), default=1, metavar="N", help="cycles forward and back (default: 1)")
     starts = "repeat the cycle from N places of the platform around its start, and print median and range (default: 1)"
-    add("--starts", type=whole_number(1), default=1, metavar="N", help=starts)
+    add("--starts", type=in_range(int, 1), default=1, metavar="N", help=starts)
     add("--learn", action="store_true", help="learn from stroke to stroke")
     learned = "as --learn; read what was learned from FILE if it exists, and write it there"
     add("--learned", metavar="FILE", help=learned)

@@ -8,7 +8,7 @@ import math
 import sys
 from pathlib import Path
 
-from straightcomp_ros.cli.options import add_json, add_namespace, check_range
+from straightcomp_ros.cli.options import add_json, add_namespace, in_range
 from straightcomp_ros.cli.output import CommandFailed, print_json, require_ros
 
 SUMMARY = "live plots of the running graph in a browser"
@@ -18,7 +18,8 @@ DEFAULT_PORT = 8765
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--port", type=int, default=DEFAULT_PORT, help="port on 127.0.0.1; 0 takes a free one (default: %(default)s)")
+    port = "port on 127.0.0.1; 0 takes a free one (default: %(default)s)"
+    add("--port", type=in_range(int, 0, 65535), default=DEFAULT_PORT, help=port)
     add_namespace(parser)
     priority = "SCHED_FIFO priority, that of the graph's nodes (default: normal scheduling)"
     add("--priority", type=int, default=0, metavar="N", help=priority)
@@ -36,7 +37,6 @@ def run(options: argparse.Namespace) -> int:
     from straightcomp_ros.timing.realtime import RealtimeParameters
 
     require_ros()
-    check_range("--port", options.port, 0, 65535)
     realtime = from_mapping(RealtimeParameters, {"priority": options.priority})
     from straightcomp_ros.nodes.view_node import ViewNode
     from straightcomp_ros.runtime.runner import run as run_node

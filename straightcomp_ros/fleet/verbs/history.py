@@ -29,11 +29,10 @@ from straightcomp_ros.cli.options import (
     add_guide_option,
     add_json,
     add_repeatable,
-    check_range,
     chosen_guide,
+    in_range,
     output_file,
     output_folder,
-    whole_number,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_written, progress_bar
 from straightcomp_ros.cli.results import figures_table, shown, titled_table
@@ -44,19 +43,18 @@ if TYPE_CHECKING:
 SUMMARY = "the figures of many bags in one store, and questions to it"
 PURPOSE = "fleet"
 _STORE, _STORE_HELP = "history", "folder (default: %(default)s)"
-_LONGEST_WAIT = 86_400.0
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bags", nargs="+", metavar="BAG", help="rosbag2 folder, MCAP or SQLite file, or a folder of bags")
     add("--store", "-o", default=_STORE, metavar="STORE", help=_STORE_HELP)
-    add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
+    add("--jobs", type=in_range(int, 1), metavar="N", help="processes on this machine (default: all cores)")
     add_dask(parser)
     add("--again", action="store_true", help="evaluate bags that the store has, too: after an update of this program")
     add("--follow", action="store_true", help="go on until Ctrl-C, adding each new bag when two looks find it alike")
     wait = "with --follow: seconds between two looks (default: %(default)g)"
-    add("--every", type=float, default=10.0, metavar="S", help=wait)
+    add("--every", type=in_range(float, 0.1, 86_400.0, "s"), default=10.0, metavar="S", help=wait)
     add_remap_option(parser)
     add_json(parser)
 
@@ -76,7 +74,6 @@ def _add(options: argparse.Namespace) -> None:
     from straightcomp_ros.fleet.history.bag_places import GrowingFolders, bags_in
     from straightcomp_ros.fleet.history.store import Store
 
-    check_range("--every", options.every, 0.1, _LONGEST_WAIT, "s")
     remap = parsed_remap(options.remap)
     store, tally, growing = Store(options.store), Tally(), GrowingFolders()
     named = set()
@@ -237,7 +234,8 @@ def _map_arguments(parser: argparse.ArgumentParser) -> None:
     add("--survey", required=True, metavar="FILE", help="the survey that the strokes used")
     add("--output", "-o", metavar="FILE", help="write the proposed map (CSV); without it nothing is written")
     add_force(parser)
-    add("--days", type=float, default=7.0, metavar="N", help="before the last stroke (default: %(default)g)")
+    days = "before the last stroke (default: %(default)g)"
+    add("--days", type=in_range(float, 0.01, 3650.0), default=7.0, metavar="N", help=days)
     add("--plot", metavar="FILE", help="also save a plot (PNG, SVG or PDF)")
     add_guide_option(parser)
     add_json(parser)
@@ -254,7 +252,6 @@ def _map(options: argparse.Namespace) -> None:
     from straightcomp_ros.fleet.maintenance.map_proposal import proposed_map
     from straightcomp_ros.straightness.guide_map import find_survey
 
-    check_range("--days", options.days, 0.01, 3650.0, "days")
     old = find_survey(options.survey)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     if output is not None and os.path.realpath(output) == str(old):

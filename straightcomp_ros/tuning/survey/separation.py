@@ -65,12 +65,12 @@ class Separated(NamedTuple):
 def separated(
     normal: Survey,
     second: Survey,
-    shift: float = 0.0,
+    shift: float | None = None,
     moved: Literal["straightedge", "sensor"] = "straightedge",
     guide: MapParameters = MAP,
 ) -> Separated:
     """Guide and edge from the survey with the straightedge as it was and a ``second`` one: with it turned over, or
-    where ``shift`` is not 0, with straightedge or sensor ``moved`` by so much in m towards larger x. ``guide`` says
+    where there is a ``shift``, with straightedge or sensor ``moved`` by so much in m towards larger x. ``guide`` says
     how many points a survey needs and how wide a gap may be.
 
     Raises:
@@ -80,12 +80,12 @@ def separated(
     every = (*normal.runs, *second.runs)
     x, values = on_common_grid(Survey(every, f"{normal.source} and {second.source}"), guide.min_points, guide.max_gap)
     spacing, length = float(np.median(np.diff(x))), float(np.ptp(x))
-    if shift and not spacing - 1e-9 <= abs(shift) <= _LONGEST * length + 1e-9:
+    if shift is not None and not spacing - 1e-9 <= abs(shift) <= _LONGEST * length + 1e-9:
         raise SurveyError(
             f"survey {second.source}: shifted by {shift * 1e3:g} mm; allowed: from the spacing of the points, "
             f"{spacing * 1e3:g} mm, to a tenth of their length, {_LONGEST * length * 1e3:g} mm"
         )
-    if shift and x.size > _MOST:
+    if shift is not None and x.size > _MOST:
         raise SurveyError(
             f"survey {second.source}: {x.size} points in the range that all runs cover; allowed with a shift: "
             f"<= {_MOST}; give surveys with points farther apart"
@@ -110,7 +110,7 @@ def separated(
         lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False, as_points=True)
         return Form(survey, mean, part.s if known else None, lines)
 
-    of_edge, of_guide = _shifted(x, each, shift, moved) if shift else _reversed(x, each)
+    of_edge, of_guide = _reversed(x, each) if shift is None else _shifted(x, each, shift, moved)
     return Separated(form("guide", of_guide), form("edge", of_edge), x, len(every) - 2 * len(pairs))
 
 

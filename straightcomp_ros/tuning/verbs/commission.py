@@ -16,7 +16,7 @@ from straightcomp_ros.cli.options import (
     add_force,
     add_json,
     add_setting_option,
-    check_range,
+    in_range,
     named_files,
     output_folder,
     stage_values,
@@ -51,7 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     only = f"do this step alone, even if it is done: {', '.join(STEP_NAMES)}"
     add("--only", choices=STEP_NAMES, metavar="STEP", help=only)
     for name, one in _NUMBERS.items():
-        add(f"--{name}", type=int, default=one.default, metavar="N", help=f"{_WORDS[name]} (default: %(default)s)")
+        kind, text = in_range(int, one.minimum, one.maximum), f"{_WORDS[name]} (default: %(default)s)"
+        add(f"--{name}", type=kind, default=one.default, metavar="N", help=text)
     check = "independent measurement of the guide at some places, at least twice: acceptance checks the map by it"
     add("--check-survey", metavar="FILE", help=check)
     require = (
@@ -63,8 +64,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    for name, one in _NUMBERS.items():
-        check_range(f"--{name}", getattr(options, name), one.minimum, one.maximum)
     if options.require is not None and not 0.0 < options.require < math.inf:
         raise CommandFailed(f"--require: {options.require:g} µm; allowed: > 0", exit_code=2)
     if (options.graph == RUNNING) == bool(options.file):

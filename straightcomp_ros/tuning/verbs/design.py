@@ -12,7 +12,7 @@ from shlex import quote
 from typing import Any
 
 from straightcomp_ros.analysis.figure_words import with_digits
-from straightcomp_ros.cli.options import add_force, add_json, add_stage_argument, check_range, output_file, stage_values
+from straightcomp_ros.cli.options import add_force, add_json, add_stage_argument, in_range, output_file, stage_values
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, progress_bar
 from straightcomp_ros.cli.results import titled_table
 from straightcomp_ros.control.laws import LAWS
@@ -31,28 +31,24 @@ _BEGIN, _END = "# Gains by `straightcomp design`:", "# End of the designed gains
 _OURS = re.compile(rf"^{re.escape(_BEGIN)}.*?^{re.escape(_END)}\n\n?", re.MULTILINE | re.DOTALL)
 _HEAD = re.compile(r"\A(?:(?:%.*|[ \t]*(?:#.*)?)\n)*---[ \t]*(?:#.*)?\n")
 """Directives, comments and the marker that begin a YAML document: what stands before the marker is none of it."""
-_LARGEST = 100_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_stage_argument(parser)
-    add = parser.add_argument
+    add, count = parser.add_argument, in_range(int, 1, 100_000)
     add("--output", "-o", metavar="FILE", help="write the stage file with the gains; may be STAGE itself")
     add("--law", choices=LAWS, default="smc_observer", help="law to design (default: %(default)s)")
     quiet = "0 for the least error, 1 for the quietest coils (default: %(default)s)"
-    add("--quiet", type=float, default=SHIPPED_QUIET, metavar="Q", help=quiet)
-    add("--machines", type=int, default=200, metavar="N", help="uncertain machines of the check (default: %(default)s)")
-    add("--evaluations", type=int, default=400, metavar="N", help="candidates of a search (default: %(default)s)")
-    add("--seed", type=int, default=1, metavar="N", help="of all that is drawn (default: 1)")
+    add("--quiet", type=in_range(float, 0.0, 1.0), default=SHIPPED_QUIET, metavar="Q", help=quiet)
+    machines = "uncertain machines of the check (default: %(default)s)"
+    add("--machines", type=count, default=200, metavar="N", help=machines)
+    add("--evaluations", type=count, default=400, metavar="N", help="candidates of a search (default: %(default)s)")
+    add("--seed", type=in_range(int, 0, 2**31), default=1, metavar="N", help="of all that is drawn (default: 1)")
     add_force(parser)
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    check_range("--quiet", options.quiet, 0.0, 1.0)
-    for name in ("machines", "evaluations"):
-        check_range(f"--{name}", getattr(options, name), 1, _LARGEST)
-    check_range("--seed", options.seed, 0, 2**31)
     if options.law not in SEARCHED:
         allowed = f"allowed: {', '.join(SEARCHED)}, or one with an entry in SEARCHED (tuning/design/gains.py)"
         raise CommandFailed(f"--law {options.law}: its gains are not searched; {allowed}", exit_code=2)

@@ -20,8 +20,8 @@ from straightcomp_ros.cli.options import (
     add_guide_option,
     add_json,
     add_repeatable,
-    check_range,
     chosen_guide,
+    in_range,
     output_file,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, notes, print_json, print_warnings, print_written
@@ -61,10 +61,11 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add("source", metavar="SOURCE", help="bag, or CSV file")
     add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
     add_force(parser)
-    add("--step", type=float, default=10.0, metavar="MM", help="length that makes one point (default: %(default)g)")
+    step = "length that makes one point (default: %(default)g)"
+    add("--step", type=in_range(float, 0.01, 1000.0), default=10.0, metavar="MM", help=step)
     add(
         "--outliers",
-        type=float,
+        type=in_range(float, 2.0, 1e6),
         default=OUTLIERS,
         metavar="K",
         help="robust standard deviations (default: %(default)g)",
@@ -110,7 +111,8 @@ def _add_sensor(parser: argparse.ArgumentParser) -> None:
     sensor += f" (default: {DISPLACEMENT.topic}:position[{DISPLACEMENT.topic}])"
     add("--sensor", metavar="TOPIC[:FIELD]", help=sensor)
     add("--unit", choices=("m", "mm", "um", "nm"), help=f"of the readings (default: {Sensor.unit})")
-    add("--delay", type=float, metavar="MS", help=f"age of a reading at its stamp (default: {Sensor.delay:g})")
+    delay = f"age of a reading at its stamp (default: {Sensor.delay:g})"
+    add("--delay", type=in_range(float, -1000.0, 1000.0), metavar="MS", help=delay)
     platform = "the sensor rides on the platform: its y is taken off the reading"
     add("--on-platform", action="store_true", default=None, help=platform)
 
@@ -120,8 +122,6 @@ def _build(options: argparse.Namespace) -> None:
 
     Recognises runs and their directions, rejects spikes and runs that do not agree, reports repeatability in the way of
     ISO 230-2, and writes the map with its provenance. `feedforward` takes the file as `stage.guide.file`."""
-    for name, low, high in (("step", 0.01, 1000.0), ("outliers", 2.0, 1e6)):
-        check_range(f"--{name}", getattr(options, name), low, high)
     output, plot = output_file(options, "--output"), output_file(options, "--plot", PICTURES)
     with noting_warnings() as texts:
         guide = chosen_guide(options)
@@ -185,7 +185,6 @@ def _read(source: Path, options: argparse.Namespace, guide: MapParameters) -> Se
             raise CommandFailed(f"--{name.replace('_', '-')}: for {kinds[0]}; {source} is a {kinds[1]}", exit_code=2)
     if bag:
         delay = options.delay or Sensor.delay
-        check_range("--delay", delay, -1000.0, 1000.0)
         try:
             stage = Field.parsed(options.position or ENCODER.topic, f"position[{STAGE}]")
             readings = Field.parsed(options.sensor or DISPLACEMENT.topic, Sensor().readings.path)
@@ -287,8 +286,8 @@ def _add_table_options(parser: argparse.ArgumentParser, formats: Collection[str]
     unit = "length unit of the controller where the file does not say it: linuxcnc, aerotech (default: %(default)s)"
     add("--unit", choices=UNITS, default=Conventions.unit, help=unit)
     for axis, default in (("stage", Conventions.stage_axis), ("platform", Conventions.platform_axis)):
-        number = f"the {axis}'s number in the controller, from 1: aerotech, crosscomp (default: %(default)s)"
-        add(f"--{axis}-axis", type=int, default=default, metavar="N", help=number)
+        place = f"the {axis}'s number in the controller, from 1: aerotech, crosscomp (default: %(default)s)"
+        add(f"--{axis}-axis", type=in_range(int, 1), default=default, metavar="N", help=place)
     error = "name of the straightness error after ISO 230-1: etalon (default: %(default)s)"
     add("--error", default=Conventions.error, metavar="NAME", help=error)
     add("--negate", action="store_true", help="turn the sign over, for an axis that counts the other way")
@@ -296,8 +295,6 @@ def _add_table_options(parser: argparse.ArgumentParser, formats: Collection[str]
 
 def _chosen_conventions(options: argparse.Namespace) -> Conventions:
     """The conventions that the options name; CommandFailed with exit code 2 if an axis is not allowed."""
-    for axis in ("stage", "platform"):
-        check_range(f"--{axis}-axis", getattr(options, f"{axis}_axis"), 1)
     if options.stage_axis == options.platform_axis:
         raise CommandFailed(f"--stage-axis and --platform-axis: both {options.stage_axis}; allowed: two", exit_code=2)
     return Conventions(options.unit, options.stage_axis, options.platform_axis, options.error.upper())
@@ -307,7 +304,8 @@ def _export_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--output", "-o", required=True, metavar="FILE", help="error table to write")
     add("--survey", metavar="CSV", help=f"survey of the map (default: the stage's, or {MapParameters.file})")
-    add("--spacing", type=float, default=10.0, metavar="MM", help="distance of the points (default: %(default)s)")
+    spacing = "distance of the points (default: %(default)s)"
+    add("--spacing", type=in_range(float, 0.1, 1000.0, "mm"), default=10.0, metavar="MM", help=spacing)
     _add_table_options(parser, WRITTEN)
     add_guide_option(parser)
     add_force(parser)
@@ -320,7 +318,6 @@ def _export(options: argparse.Namespace) -> None:
     The table's correction is the map's reference: what has to be added to the platform's position. Before the first
     motion compare its sign with a dial gauge; use --negate if the controller's axis counts the other way."""
     conventions = _chosen_conventions(options)
-    check_range("--spacing", options.spacing, 0.1, 1000.0, "mm")
     guide = chosen_guide(options)
     # Before the output is named: the survey is an input of this command, also where no option names it.
     options.survey = options.survey or guide.file
@@ -365,7 +362,8 @@ def _reverse_arguments(parser: argparse.ArgumentParser) -> None:
     add("second", metavar="SURVEY_2", help="survey with straightedge and sensor turned over, or with one of them moved")
     add("--output", "-o", required=True, metavar="FILE", help="survey of the guide to write (CSV)")
     add("--edge", metavar="FILE", help="also write the straightedge's own deviation, as a survey")
-    add("--shift", type=float, metavar="MM", help="SURVEY_2 is not turned over, but moved by this towards larger x")
+    moved = "SURVEY_2 is not turned over, but moved by this towards larger x"
+    add("--shift", type=in_range(float, -10_000.0, 10_000.0), metavar="MM", help=moved)
     moved = "what was moved by --shift (default: %(default)s)"
     add("--moved", choices=("straightedge", "sensor"), default="straightedge", help=moved)
     add_guide_option(parser)
@@ -381,12 +379,10 @@ def _reverse(options: argparse.Namespace) -> None:
     (m1 + m2) / 2. If its deviations have the sign of the machine's axis, turn it over before, with `map convert
     --negate` or `map build --invert`."""
     output, edge, shift = output_file(options, "--output"), output_file(options, "--edge"), options.shift
-    if shift is not None:
-        check_range("--shift", abs(shift), 0.01, 10_000.0, "mm")
     guide = chosen_guide(options)
     normal, second = _survey(options.normal, guide), _survey(options.second, guide)
     try:
-        found = separated(normal, second, (shift or 0.0) * 1e-3, options.moved, guide)
+        found = separated(normal, second, None if shift is None else shift * 1e-3, options.moved, guide)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error
     names = f"{Path(options.normal).name} and {Path(options.second).name}"
@@ -420,8 +416,12 @@ def _align_arguments(parser: argparse.ArgumentParser) -> None:
     add("survey", metavar="SURVEY", help="survey of the map (CSV)")
     add("sources", metavar="SOURCE", nargs="+", help="bag, or CSV file, of strokes with a displacement sensor")
     add("--output", "-o", metavar="FILE", help="write the survey corrected; without it nothing is written")
-    add("--reach", type=float, default=20.0, metavar="MM", help="largest shift to each side (default: %(default)g)")
-    add("--step", type=float, default=1.0, metavar="MM", help="length that makes one point (default: %(default)g)")
+    reach, step = (
+        "largest shift to each side (default: %(default)g)",
+        "length that makes one point (default: %(default)g)",
+    )
+    add("--reach", type=in_range(float, 0.1, 1000.0), default=20.0, metavar="MM", help=reach)
+    add("--step", type=in_range(float, 0.01, 100.0), default=1.0, metavar="MM", help=step)
     add("--residual", action="store_true", help="the readings are what is left with this map, not the guide itself")
     add("--tilt", action="store_true", help="correct the tilt too: the sensor's line becomes the map's")
     _add_notes(parser)
@@ -452,8 +452,6 @@ def _align(options: argparse.Namespace) -> None:
 
     The strokes cover most of the survey, best in both directions. A sensor that rides on the platform needs
     --on-platform, which takes the platform's own y off."""
-    for name, low, high in (("reach", 0.1, 1000.0), ("step", 0.01, 100.0)):
-        check_range(f"--{name}", getattr(options, name), low, high)
     output, noted = output_file(options, "--output"), _noted(options)
     # What is not aligned yet may reach farther than the platform.
     guide = replace(chosen_guide(options), travel=MAP.travel)

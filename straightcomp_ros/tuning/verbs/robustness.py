@@ -19,8 +19,8 @@ from straightcomp_ros.cli.options import (
     add_parameter_options,
     add_repeatable,
     chosen_parameters,
+    in_range,
     output_file,
-    whole_number,
 )
 from straightcomp_ros.cli.output import CommandFailed, console, print_json, print_written, working
 from straightcomp_ros.cli.results import (
@@ -47,12 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(law=None)
     add = parser.add_argument
     machines = "uncertain machines (default: %(default)s; formerly --trials)"
-    add("--machines", "--trials", dest="trials", type=whole_number(1), default=1000, metavar="N", help=machines)
+    add("--machines", "--trials", dest="trials", type=in_range(int, 1), default=1000, metavar="N", help=machines)
     one = "run only machine K of this seed (formerly --trial); may be repeated"
-    kind = whole_number(0)
+    kind = in_range(int, 0)
     add("--machine", "--trial", dest="chosen", action="append", default=[], metavar="K", type=kind, help=one)
-    add("--seed", type=whole_number(0), default=1, metavar="N", help="of all that is drawn (default: 1)")
-    add("--jobs", type=whole_number(1), metavar="N", help="processes on this machine (default: all cores)")
+    add("--seed", type=in_range(int, 0), default=1, metavar="N", help="of all that is drawn (default: 1)")
+    add("--jobs", type=in_range(int, 1), metavar="N", help="processes on this machine (default: all cores)")
     add_dask(parser)
     add("--plot", metavar="FILE", help="also save the distribution of the error (PNG, SVG or PDF)")
     add_force(parser)
