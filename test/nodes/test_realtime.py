@@ -31,36 +31,26 @@ def report(arguments, start=""):
     return SimpleNamespace(**json.loads(done.stdout))
 
 
-def test_all_threads_but_the_node_s_own_helpers_get_the_priority_if_asked_for_or_the_refusal_is_said():
-    assert {tuple(rest) for _, *rest in report("").threads} == {(os.SCHED_OTHER, 0)}
-    found = report("priority=7")
-    if found.refusals:
-        assert "priority 7 was refused" in found.refusals[0] and "rtprio in limits.conf" in found.refusals[0]
+def test_a_node_has_the_priority_cpu_and_memory_that_it_asks_for_or_says_what_the_system_refuses():
+    found = report("priority=7, cpus='loop', lock_memory=True")
+    refused = "\n".join(found.refusals)
+    assert len(found.cpus) == 1
+    assert found.locked > 0 or "memlock in limits.conf" in refused
+    if "priority 7 was refused" in refused:
+        assert "rtprio in limits.conf" in refused
     else:
         scheduled = {(name == "helper", *rest) for name, *rest in found.threads}
         assert scheduled == {(False, os.SCHED_FIFO, 7), (True, os.SCHED_OTHER, 0)}
 
 
 @pytest.mark.nightly
-def test_fast_dds_s_polling_thread_cannot_keep_a_cpu_from_the_threads_that_it_waits_for():
-    found = report("priority=7", "import rclpy\nrclpy.init()\nnode = rclpy.create_node('node')")
+def test_beside_the_loops_a_node_has_a_lower_priority_and_fast_dds_s_polling_thread_one_below_that():
+    *others, last = sorted(os.sched_getaffinity(0))
+    found = report("priority=7, cpus='rest'", "import rclpy\nrclpy.init()\nnode = rclpy.create_node('node')")
+    assert found.cpus == (others or [last])
     if found.refusals:
         pytest.skip(found.refusals[0])
     own = {name: tuple(rest) for name, *rest in found.threads if name.startswith("dds.")}
     polling = {name for name in own if name.startswith("dds.asyn")}
-    assert polling and {own.pop(name) for name in polling} == {(os.SCHED_RR, 6)}
-    assert set(own.values()) == {(os.SCHED_FIFO, 7)}
-
-
-def test_loop_and_rest_share_out_the_cpus_or_the_process_stays_on_those_named():
-    *others, last = sorted(os.sched_getaffinity(0))
-    assert report("cpus='loop'").cpus == report(f"cpus='{last}'").cpus == [last]
-    found = report("priority=7, cpus='rest'")
-    assert found.cpus == (others or [last])
-    # Its priority is below that of the loops.
-    assert found.refusals or [os.SCHED_FIFO, 6] in [rest for _, *rest in found.threads]
-
-
-def test_memory_is_locked_or_the_refusal_is_said():
-    found = report("lock_memory=True")
-    assert found.locked > 0 or "memlock in limits.conf" in found.refusals[0]
+    assert polling and {own.pop(name) for name in polling} == {(os.SCHED_RR, 5)}
+    assert set(own.values()) == {(os.SCHED_FIFO, 6)}
