@@ -11,7 +11,6 @@ from rewritten_bag import rewritten
 from rosgraph_msgs.msg import Clock
 
 from straightcomp_ros.bags.reader import read_streams
-from straightcomp_ros.cell.launcher import LaunchError
 from straightcomp_ros.contract import CLOCK, COMMAND, ENCODER, POSITION_EVERY
 from straightcomp_ros.offline.graph_replay import replay_through_graph
 from straightcomp_ros.parameters.declaration import declarations
@@ -71,14 +70,6 @@ def test_no_sample_is_played_where_another_node_publishes_samples(run, single):
         assert not came
         machine.node.destroy_publisher(publisher)
         machine.until(lambda: came)
-
-
-def test_a_bag_without_samples_stops_the_player_with_the_reason(tmp_path, single):
-    player = single.start("player", {"bag": str(tmp_path / "nowhere")})
-    assert player.wait(120) == 2
-    assert "does not exist" in single.last_words("player")
-    with pytest.raises(LaunchError, match="player"):
-        single.check(["player"])
 
 
 def test_a_node_of_a_replay_has_no_other_parameter_that_names_a_file():

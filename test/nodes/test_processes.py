@@ -1,6 +1,7 @@
 """Each node as a process: signals and exit codes; and, in this process, what ends a node before it starts."""
 
 import gc
+import importlib.util
 import json
 import os
 import signal
@@ -20,16 +21,24 @@ from tiers import nightly
 from waiting import wait_for_line
 
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.cell.launcher import RECORDED, verb_command
+from straightcomp_ros.cell.launcher import verb_command
 from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.learning import Learning, LearningParameters
-from straightcomp_ros.nodes import cell_node, controller_node, driver_node, feedforward_node, logger_node
+from straightcomp_ros.nodes import (
+    cell_node,
+    controller_node,
+    driver_node,
+    feedforward_node,
+    logger_node,
+    opcua_node,
+    player_node,
+)
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping
 from straightcomp_ros.parameters.node_parameters import ControllerNodeParameters, FeedforwardNodeParameters
 from straightcomp_ros.runtime.loops import WorkerThread, awaited
 from straightcomp_ros.runtime.managed import ManagedNode
-from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run, run_managed
+from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION, run_managed
 from straightcomp_ros.safety.faults import Fault
 from straightcomp_ros.timing.node_timing import EXCITING
 
@@ -37,6 +46,8 @@ MANAGED = {
     one[0]: one
     for one in (driver_node.DRIVER, feedforward_node.FEEDFORWARD, controller_node.CONTROLLER, logger_node.LOGGER)
 }
+
+OTHERS = {"cell": cell_node.main, "opcua": opcua_node.main, "player": player_node.main}
 
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -50,11 +61,8 @@ def refusal(capfd, monkeypatch):
         arguments = ["--ros-args"]
         for name, value in parameters.items():
             arguments += ["-p", f"{name}:={json.dumps(value)}"]
-        if node == "cell":
-            code = run(node, cell_node.CellNode, arguments)
-        else:
-            code = run_managed([MANAGED[node]], arguments=arguments)
-        assert code == EXIT_CONFIGURATION
+        start = OTHERS.get(node) or partial(run_managed, [MANAGED[node]])
+        assert start(arguments=arguments) == EXIT_CONFIGURATION
         # Until then the node is part of its graph: a cell of a later test would wait for it.
         gc.collect()
         return capfd.readouterr().err.splitlines()[-1]
@@ -153,6 +161,9 @@ def test_an_excitation_ends_when_the_samples_end_so_that_a_new_driver_may_be_act
     assert controller._trip.call_args.args[0] is Fault.SAMPLE_TIMEOUT
 
 
+WITH_ASYNCUA = pytest.mark.skipif(
+    importlib.util.find_spec("asyncua") is None, reason="the extra 'opcua' is not installed"
+)
 UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean 'realtime.priority'")
 
 
@@ -170,6 +181,8 @@ UNKNOWN = ("realtime.priorty", 1, "'realtime.priorty' is unknown; did you mean '
         ("cell", "nodes", "driver, controller", "'driver,' is no name of a node; allowed: "),
         ("cell", "stage.motion.speed", 0, "0.0 m/s is too small"),
         ("cell", "stage.motion.steps", 100, "parameter 'strokes': 33 "),
+        ("player", "bag", "nowhere", "bag nowhere does not exist"),
+        pytest.param("opcua", "opcua.users", "nowhere", "users file", marks=WITH_ASYNCUA),
     ],
 )
 def test_an_unknown_parameter_or_refused_value_ends_a_node_with_code_2_and_what_is_allowed(
@@ -237,13 +250,6 @@ def test_gains_without_margins_are_used_with_a_warning_where_that_is_asked_for(s
     single.start("controller", {"stage.rate": 1000, "control.margins": "warn"})
     wait_for_line(single, "controller", "ready")
     assert "samples late; allowed: >= 1.5" in single.log("controller").read_text()
-
-
-def test_a_cell_without_a_driver_fails_and_names_what_is_missing(single):
-    process = single.start("cell", {"start_timeout": 1.0})
-    assert process.wait(timeout=120) == 1
-    missing = ", ".join(f"{node} (absent)" for node in RECORDED)
-    assert f"nodes that do not work: {missing}" in single.last_words("cell")
 
 
 def test_a_view_without_a_graph_says_in_which_domain_it_looks(single):
