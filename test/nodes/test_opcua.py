@@ -14,17 +14,14 @@ from waiting import wait_for_line
 
 from straightcomp_ros.cell.launcher import COMPOSED, IN_THE_LOOP, RECORDED
 from straightcomp_ros.cli.main import main
-from straightcomp_ros.parameters.node_parameters import node_parameters
 from straightcomp_ros.parameters.parameter_file import as_parameter_file
 from straightcomp_ros.runtime.graph_client import GraphClient
-from straightcomp_ros.runtime.runner import EXIT_CONFIGURATION
 from straightcomp_ros.timing.node_timing import LOST, OVERRUNS, SAMPLES, count
 
 if importlib.util.find_spec("asyncua") is None:
     pytest.skip("the extra 'opcua' is not installed", allow_module_level=True)
 
-from asyncua import ua
-from opcua_clients import OPERATOR, connect, flood, give, probing, value
+from opcua_clients import OPERATOR, flood, probing
 
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.packml import Command, Order, State
@@ -77,7 +74,9 @@ def machine(graph, tmp_path):
 
 
 @probing
-async def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_maintenance(machine, graph):
+async def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees_due_maintenance_and_holds_a_stroke(
+    machine, graph
+):
     url, survey = machine
 
     async def refusal(*command):
@@ -90,12 +89,18 @@ async def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees
                     return str(refused)
             await asyncio.sleep(0.2)
 
+    async def until(state, x=-1.0):
+        end = time.monotonic() + 60.0
+        while not (await cell.state() is state and await cell.read("Live.X") > x):
+            assert time.monotonic() < end, (state, await cell.state(), await cell.read("Live.X"))
+            await asyncio.sleep(0.01)
+
     async with connected(url, *OPERATOR) as cell:
         # A state that nobody asked for has no message.
         assert re.search(r"\]: stopped$", log := graph.log("opcua").read_text(), re.MULTILINE), log
         assert "ReloadMap is not accepted in state Stopped" in await refusal(Order.RELOAD_MAP)
         await cell.command(Command.RESET)
-        await cell.until(State.IDLE, {State.RESETTING}, lambda done: None)
+        await until(State.IDLE)
         assert [await refusal(Order.RELOAD_MAP), await refusal(Order.CENTER, True)] == ["", ""]
         assert await cell.read("Status.Centred") is True
         assert "call Center(false) first" in await refusal(Command.START, 1)
@@ -105,46 +110,20 @@ async def test_a_client_has_the_map_read_again_and_the_platform_centred_and_sees
         assert "BadInvalidState" in spoilt and "survey.csv" in spoilt
         assert await cell.state() is State.IDLE
         assert await cell.read("Alarms.MaintenanceDue") == "as of 2026-05-01: worn; mend"
-    # The map's file was spoilt for the next start alone.
-    await holds_a_stroke(url)
-
-
-async def holds_a_stroke(url):
-    """Runs a stroke at 10 %, holds it in mid-movement, and lets it go on at 30 % to its end."""
-    made = await connect(url, OPERATOR)
-
-    async def until(state, x=-1.0):
-        end = time.monotonic() + 60.0
-        while not (await read("Status.StateName") == state and await read("Live.X") > x):
-            assert time.monotonic() < end, (state, await read("Status.StateName"), await read("Live.X"))
-            await asyncio.sleep(0.01)
-
-    async def read(name):
-        return (await value(made, name))[0]
-
-    await until("Idle")
-    await give(made, "Override", ua.Variant(10, ua.VariantType.UInt32))
-    await give(made, "Start", ua.Variant(1, ua.VariantType.UInt32))
-    await until("Execute", x=0.004)
-    await give(made, "Hold")
-    await until("Held")
-    await asyncio.sleep(0.5)
-    assert await read("Status.StageState") == "held" and await read("Status.AmplifierOn")
-    assert 0.004 < await read("Live.X") < 0.02
-    await give(made, "Override", ua.Variant(30, ua.VariantType.UInt32))
-    await give(made, "Unhold")
-    await until("Complete")
-    assert await read("Status.Override") == pytest.approx(30.0)
-    assert await read("Live.X") == pytest.approx(0.0, abs=1e-6)
-
-
-def test_without_users_a_gateway_serves_readers_on_this_machine_and_with_a_wrong_file_it_ends_with_one_sentence(
-    single, tmp_path
-):
-    assert not node_parameters("opcua", {}).opcua.users
-    node = single.start("opcua", {"opcua.users": str(tmp_path / "none")})
-    assert node.wait(120) == EXIT_CONFIGURATION
-    assert "users file" in single.last_words("opcua") and "Traceback" not in single.log("opcua").read_text()
+        # The map's file was spoilt for the next start alone.
+        await cell.command(Order.OVERRIDE, 10)
+        await cell.command(Command.START, 1)
+        await until(State.EXECUTE, x=0.004)
+        await cell.command(Command.HOLD)
+        await until(State.HELD)
+        await asyncio.sleep(0.5)
+        assert await cell.read("Status.StageState") == "held" and await cell.read("Status.AmplifierOn")
+        assert 0.004 < await cell.read("Live.X") < 0.02
+        await cell.command(Order.OVERRIDE, 30)
+        await cell.command(Command.UNHOLD)
+        await until(State.COMPLETE)
+        assert await cell.read("Status.Override") == pytest.approx(30.0)
+        assert await cell.read("Live.X") == pytest.approx(0.0, abs=1e-6)
 
 
 FLOOD_S, FLOODS, FIRST_ANSWER_S = 3.0, 3, 30.0
