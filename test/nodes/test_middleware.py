@@ -118,43 +118,43 @@ FAST_DDS = re.compile(r"^\s*(?:from|import)\s+\S*(?:fastrtps|fastdds|rmw_)", re.
 
 
 @pytest.fixture
-def node():
+def connected():
+    """A node, its publisher and its subscription of one topic."""
     rclpy.init()
-    made = LifecycleNode("inside")
-    yield made
-    made.destroy_node()
-    rclpy.try_shutdown()
-
-
-@pytest.fixture
-def pair(node):
-    """Publisher and subscription of one topic, connected."""
+    node = LifecycleNode("inside")
     publisher = node.create_publisher(Int64, "any", stream_qos())
     subscription = node.create_subscription(Int64, "any", lambda _: None, stream_qos(), raw=True)
     assert comes_true(publisher.get_subscription_count)
-    return publisher, subscription
+    yield node, publisher, subscription
+    node.destroy_node()
+    rclpy.try_shutdown()
 
 
-@pytest.mark.parametrize("publishing", ["raw_publish", "unlocked_publish"])
-def test_a_serialised_message_is_published_and_taken_with_the_times_of_the_middleware(node, pair, publishing):
-    publisher, subscription = pair
-    publish = getattr(inside_rclpy, publishing)(publisher)
+def test_serialised_messages_are_published_and_taken_with_the_times_of_the_middleware_or_the_failure_is_named(
+    connected,
+):
+    node, publisher, subscription = connected
     take, wait = inside_rclpy.raw_take(subscription), inside_rclpy.waiter(node, subscription)
     assert take() is None
     # A wait without a message ends in time.
     begin = time.monotonic()
     wait(20_000_000)
     assert time.monotonic() - begin >= 0.019
-    before = time.time_ns()
-    publish(serialize_message(Int64(data=42)))
-    wait(10 * SECOND)
-    data, info = take()
-    assert deserialize_message(data, Int64).data == 42
-    assert all(before <= info[name] <= time.time_ns() for name in ("source_timestamp", "received_timestamp"))
-    assert take() is None
+    for number, way in enumerate((inside_rclpy.raw_publish, inside_rclpy.unlocked_publish)):
+        publish, before = way(publisher), time.time_ns()
+        publish(serialize_message(Int64(data=number)))
+        wait(10 * SECOND)
+        data, info = take()
+        assert deserialize_message(data, Int64).data == number
+        assert all(before <= info[name] <= time.time_ns() for name in ("source_timestamp", "received_timestamp"))
+        assert take() is None
+    rclpy.shutdown()
+    with pytest.raises(OSError, match="/any"):
+        publish(serialize_message(Int64(data=42)))
 
 
-def test_a_topic_s_publishers_are_counted_with_the_interpreter_unlocked(node, pair):
+def test_a_topic_s_publishers_are_counted_with_the_interpreter_unlocked(connected):
+    node, *_ = connected
     count = inside_rclpy.publisher_count(node, node.resolve_topic_name("any"))
     assert count() == 1
     other = node.create_publisher(Int64, "any", stream_qos())
@@ -162,13 +162,6 @@ def test_a_topic_s_publishers_are_counted_with_the_interpreter_unlocked(node, pa
     node.destroy_publisher(other)
     assert comes_true(lambda: count() == 1)
     assert inside_rclpy.publisher_count(node, "/none")() == 0
-
-
-def test_a_message_that_cannot_be_sent_is_named(node, pair):
-    publish = inside_rclpy.unlocked_publish(pair[0])
-    rclpy.shutdown()
-    with pytest.raises(OSError, match="/any"):
-        publish(serialize_message(Int64(data=42)))
 
 
 @pytest.mark.parametrize(
