@@ -165,20 +165,14 @@ def test_a_machine_that_fell_silent_is_released_all_the_same(tmp_path):
     assert set(client.states.values()) == {"inactive", "unconfigured"}
 
 
-def test_an_interrupt_while_the_amplifier_is_being_switched_on_switches_it_off(tmp_path):
-    client = Client(interrupt="enable")
-    with pytest.raises(KeyboardInterrupt):
-        machine(client, tmp_path).play(ExcitationParameters(signal="shake"))
-    assert off_at_the_end(client)
-    assert client.given["driver"]["watch.travel"] != ExcitationParameters().travel
-
-
-def test_a_graph_that_learns_does_not_in_open_loop_and_gets_its_learning_back(tmp_path):
+def test_a_graph_that_learns_does_not_in_open_loop_and_an_interrupt_at_switching_on_gives_all_back(tmp_path):
     client = Client(interrupt="enable")
     learning = {"learning.learn": True, "learning.file": str(tmp_path / "learned.csv")}
     used = RunningMachine(client, with_values(SHIPPED, "controller", learning), LOGGER, tmp_path)
     with pytest.raises(KeyboardInterrupt):
         used.play(ExcitationParameters(signal="shake"))
+    assert off_at_the_end(client)
+    assert client.given["driver"]["watch.travel"] != ExcitationParameters().travel
     controller = client.given["controller"]
     assert controller["control.law"] == OPEN_LOOP and not controller["learning.learn"]
     # Nor under a test signal.
