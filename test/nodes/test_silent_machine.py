@@ -2,7 +2,7 @@
 samples with the amplifier on and off; where its stage stands, and which motions it takes."""
 
 import math
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from unittest.mock import Mock
 
 import numpy as np
@@ -188,22 +188,18 @@ def test_in_lockstep_a_motion_begins_where_and_when_the_last_one_ended_and_there
     [(0.1, 0.7, 0.2, 0.2), (-0.7, -0.1, -0.7, -0.7), (0.015, 0.6, 0.1, 0.0), (-0.3, 0.3, -0.3, 0.0)],
 )
 def test_a_simulated_stage_stands_on_its_guide_and_at_zero_if_that_is_there(tmp_path, first, last, start, x):
-    file = tmp_path / "survey.csv"
-    places = np.linspace(first, last, 100)
-    write_survey(file, one_run(places, 1e-6 * np.sin(10.0 * places)))
-    given = {"stage.guide.file": str(file), "stage.motion.start": start, "stage.motion.stroke": 0.1}
-    board = {**on_a_hub(tmp_path), "can.simulated_stage": True}
-    parameters = [from_mapping(DriverNodeParameters, {**given, **machine}) for machine in ({}, board)]
-    machines = [make_hardware(one) for one in parameters]
-    on_the_bus = parameters[1]
-    emulated = on_the_bus.can, on_the_bus.simulated, on_the_bus.stage, on_the_bus.guide()
-    machines.append(Board(*emulated, lambda *_: None).machine)
-    assert [machine.motion.position(0) for machine in machines] == [x, x, x]
-    for machine in machines:
-        machine.close()
+    def survey(*ends):
+        places = np.linspace(*ends, 100)
+        write_survey(file := str(tmp_path / f"survey {ends}.csv"), one_run(places, 1e-6 * np.sin(10.0 * places)))
+        return file
+
+    stage = {"stage.guide.file": survey(first, last), "stage.motion.start": start, "stage.motion.stroke": 0.1}
+    on_a_bus = {**on_a_hub(tmp_path), "can.simulated_stage": True}
     # The true guide may be longer than the map.
-    longer, places = tmp_path / "longer.csv", np.linspace(-1.0, 1.0, 100)
-    write_survey(longer, one_run(places, 1e-6 * np.sin(10.0 * places)))
-    machine = make_hardware(from_mapping(DriverNodeParameters, {**given, "simulated.truth.guide": str(longer)}))
-    assert machine.motion.position(0) == x
-    assert make_hardware(from_mapping(DriverNodeParameters, {**given, "lockstep": True})).motion.position(0) == start
+    longer = {"simulated.truth.guide": survey(-1.0, 1.0)}
+    for given, place in (({}, x), (on_a_bus, x), (longer, x), ({"lockstep": True}, start)):
+        with closing(make_hardware(from_mapping(DriverNodeParameters, {**stage, **given}))) as machine:
+            assert machine.motion.position(0) == place, given
+    board = from_mapping(DriverNodeParameters, {**stage, **on_a_bus})
+    emulated = Board(board.can, board.simulated, board.stage, board.guide(), lambda *_: None)
+    assert emulated.machine.motion.position(0) == x
