@@ -257,13 +257,18 @@ def test_a_full_transmit_queue_is_counted_and_the_board_switches_off(board, driv
 
 
 @BUSES
-def test_candump_records_the_frames_that_the_drivers_own_log_has(board, driver, fd, tmp_path):
-    theirs, ours = tmp_path / "candump.log", tmp_path / "own.log"
+def test_candump_records_the_frames_of_the_drivers_own_log_and_canplayer_plays_that_to_another_driver(
+    start_board, fd, tmp_path
+):
+    theirs, ours, board = tmp_path / "candump.log", tmp_path / "own.log", start_board()
     with subprocess.Popen(["candump", "-L", HOST], stdout=theirs.open("w")) as candump:
         time.sleep(0.5)
         with contextlib.closing(Driver(fd, **{"can.log": str(ours)})) as recorder:
-            recorder.until(lambda: len(recorder.samples) > RATE)
+            recorder.until(lambda: recorder.samples)
+            recorder.hardware.move(Trajectory(forward_and_back(recorder.stage.motion)), time.time_ns())
+            recorder.until(lambda: len(recorder.samples) > 1.5 * RATE)
         candump.send_signal(signal.SIGINT)
+    board.kill()
 
     def payloads(log):
         return [bytes(one.data) for one in RecordedBus(log) if one.arbitration_id == sample_id(fd)]
@@ -275,20 +280,9 @@ def test_candump_records_the_frames_that_the_drivers_own_log_has(board, driver, 
     assert min(len(own), len(both)) > RATE
     assert all(foreign == one for foreign, one in zip(both, own, strict=False))
 
-
-@BUSES
-def test_canplayer_plays_the_drivers_log_to_another_driver(start_board, fd, tmp_path):
-    log = tmp_path / "own.log"
-    board = start_board()
-    with contextlib.closing(Driver(fd, **{"can.log": str(log)})) as recorder:
-        recorder.until(lambda: recorder.samples)
-        motion = recorder.stage.motion
-        recorder.hardware.move(Trajectory(forward_and_back(motion)), time.time_ns())
-        recorder.run(1.5)
-    board.kill()
     with contextlib.closing(Driver(fd)) as driver:
         driver.run(0.5)
-        driver.in_parallel("canplayer", "-I", log, f"{BOARD}={HOST}")
+        driver.in_parallel("canplayer", "-I", ours, f"{BOARD}={HOST}")
         driver.run(0.2)
     then = {sample.x for sample, _ in recorder.samples}
     again = [sample.x for sample, _ in driver.samples]
