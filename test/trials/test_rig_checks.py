@@ -2,7 +2,7 @@
 
 import random
 from functools import partial
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,44 +19,26 @@ from trials.stand import Seen, Stand
 NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 
 
-class FakeStand:
-    """A graph at work, as far as its fields are not changed; it waits for nothing."""
-
-    must_not_switch_on, fail = Stand.must_not_switch_on, Stand.fail
-
-    def __init__(self):
-        self.condition, self.fault, self.tripped = "on", None, None
-        self.enables, self.failures, self.answers_lost, self.about = False, [], 0, ""
-        self.names = ("driver", "feedforward", "controller", "logger")
-        self.restart = lambda name: None
-        self.signal = lambda name, number: NOW
-        self.node = SimpleNamespace(create_subscription=lambda *_: None)
-
-    def until(self, condition, seconds=0.0):
-        self.spin(seconds)
-        return condition()
-
-    def switch_on(self):
-        pass
-
-    def spin(self, seconds):
-        pass
-
-    def enable(self):
-        return self.enables
-
-    def latch(self, fault):
-        self.condition, self.fault = "fault", Seen(fault, NOW)
-
-    def failures_of(self, check, *arguments):
-        self.failures.clear()
-        check(*arguments)
-        return list(self.failures)
-
-
 @pytest.fixture
 def stand():
-    return FakeStand()
+    """A graph at work, as far as its fields are not changed; it waits for nothing."""
+    stand = Mock(condition="on", fault=None, tripped=None, failures=[], answers_lost=0, about="")
+    stand.names = ("driver", "feedforward", "controller", "logger")
+    stand.until.side_effect = lambda condition, seconds=0.0: condition()
+    stand.signal.return_value, stand.enable.return_value = NOW, False
+    for real in (Stand.must_not_switch_on, Stand.fail):
+        setattr(stand, real.__name__, partial(real, stand))
+    return stand
+
+
+def latch(stand, fault):
+    stand.condition, stand.fault = "fault", Seen(fault, NOW)
+
+
+def failures_of(stand, check, *arguments):
+    stand.failures.clear()
+    check(*arguments)
+    return list(stand.failures)
 
 
 @pytest.fixture
@@ -83,30 +65,32 @@ def test_a_row_of_faults_is_green_only_if_each_was_found_in_time_with_all_that_m
 
 
 def test_a_fault_that_must_be_latched_must_have_the_right_name_and_keep_the_amplifier_off(soak, stand):
-    soak.killable, kill = ["controller"], partial(stand.failures_of, soak_run.ACTIONS["SIGKILL"], soak)
+    soak.killable, kill = ["controller"], partial(failures_of, stand, soak_run.ACTIONS["SIGKILL"], soak)
     assert "command_timeout was not found" in kill()[0]
-    stand.latch(Fault.X_JUMP)
+    latch(stand, Fault.X_JUMP)
     assert "command_timeout was not found" in kill()[0]
     for fault in (Fault.COMMAND_TIMEOUT, Fault.Y_OUT_OF_RANGE):
-        stand.latch(fault)
-        assert kill() == [] and stand.failures_of(soak.check, HELD_UP) == [] and soak.counts["faults"][fault.label] == 1
-    stand.enables = True
+        latch(stand, fault)
+        assert (
+            kill() == [] and failures_of(stand, soak.check, HELD_UP) == [] and soak.counts["faults"][fault.label] == 1
+        )
+    stand.enable.return_value = True
     assert "could be switched on" in kill()[0]
 
 
 def test_an_amplifier_that_may_not_be_off_is_a_failure(soak, stand):
-    assert stand.failures_of(soak.check) == []
+    assert failures_of(stand, soak.check) == []
     stand.condition = "off"
-    assert "the amplifier is 'off'" in stand.failures_of(soak.check)[0]
-    assert stand.failures_of(soak.check, HELD_UP)
-    stand.latch(Fault.SAMPLE_TIMEOUT)
-    assert stand.failures_of(soak.check, HELD_UP) == []
-    assert "'sample_timeout' was latched; none may" in stand.failures_of(soak.check)[0]
+    assert "the amplifier is 'off'" in failures_of(stand, soak.check)[0]
+    assert failures_of(stand, soak.check, HELD_UP)
+    latch(stand, Fault.SAMPLE_TIMEOUT)
+    assert failures_of(stand, soak.check, HELD_UP) == []
+    assert "'sample_timeout' was latched; none may" in failures_of(stand, soak.check)[0]
     # One that a computer made that stood still is counted apart, and another fault is not.
     soak._stalled = lambda begin, end: 120.0
-    assert stand.failures_of(soak.check) == [] and soak.counts["faults_in_stalls"] == {"sample_timeout": 1}
-    stand.latch(Fault.TWO_CONTROLLERS)
-    assert stand.failures_of(soak.check)
+    assert failures_of(stand, soak.check) == [] and soak.counts["faults_in_stalls"] == {"sample_timeout": 1}
+    latch(stand, Fault.TWO_CONTROLLERS)
+    assert failures_of(stand, soak.check)
 
 
 @pytest.mark.parametrize(
