@@ -13,7 +13,6 @@ from unittest.mock import Mock
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from participant import Participant
 from places import REPOSITORY
 from rcl_interfaces.msg import ListParametersResult, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -82,29 +81,33 @@ class Client(GraphClient):
 
 
 @pytest.fixture
-def seen():
-    """A driver, and a function that gives the observation as soon as it is as wanted."""
-    with Participant("watch") as participant:
-        driver, client = Driver(), Client(participant.node, list(STATES))
-
-        def until(wanted, states=STATES):
-            client.states = states
-
-            def came():
-                driver.sample()
-                client.fetch()
-                return wanted(client.observation())
-
-            participant.until(came)
-            return client.observation()
-
-        yield driver, until
-        client.streams.close()
-        driver.node.destroy_node()
+def driver(participant):
+    driver = Driver()
+    yield driver
+    driver.node.destroy_node()
 
 
-def test_the_amplifier_is_what_the_safety_state_says_and_unknown_without_samples(seen):
-    driver, until = seen
+@pytest.fixture
+def until(participant, driver):
+    """A function that gives the observation as soon as it is as wanted."""
+    client = Client(participant.node, list(STATES))
+
+    def until(wanted, states=STATES):
+        client.states = states
+
+        def came():
+            driver.sample()
+            client.fetch()
+            return wanted(client.observation())
+
+        participant.until(came)
+        return client.observation()
+
+    yield until
+    client.streams.close()
+
+
+def test_the_amplifier_is_what_the_safety_state_says_and_unknown_without_samples(driver, until):
     until(lambda seen: seen.fresh and seen.amplifier_on)
     driver.say(State.OFF)
     until(lambda seen: seen.fresh and not seen.amplifier_on)
@@ -114,8 +117,7 @@ def test_the_amplifier_is_what_the_safety_state_says_and_unknown_without_samples
     assert not until(lambda seen: not seen.fresh).amplifier_on
 
 
-def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_from_their_diagnostics(seen):
-    driver, until = seen
+def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_from_their_diagnostics(driver, until):
     driver.say(State.FAULT, Latched(Fault.TRIPPED, "the door is open", 1))
     observation = until(lambda seen: seen.faults)
     assert observation.faults == {"driver": "tripped: the door is open"} and not observation.amplifier_on
@@ -131,8 +133,7 @@ def test_a_fault_of_the_driver_is_seen_from_its_safety_state_alone_and_others_fr
     assert until(lambda seen: not seen.faults).fault_code == 0
 
 
-def test_a_driver_that_does_not_report_says_nothing_of_the_stage_and_has_begun_no_other_motion(seen):
-    driver, until = seen
+def test_a_driver_that_does_not_report_says_nothing_of_the_stage_and_has_begun_no_other_motion(driver, until):
     driver.move(7)
     until(lambda seen: seen.stage == StageState("moving", number=7))
     for state in ("absent", "starting", "silent"):
@@ -141,8 +142,7 @@ def test_a_driver_that_does_not_report_says_nothing_of_the_stage_and_has_begun_n
     assert until(lambda seen: True).stage.condition == "moving"
 
 
-def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_graph_nor_kept(seen):
-    driver, until = seen
+def test_statuses_of_other_programs_and_namespaces_are_neither_faults_of_this_graph_nor_kept(driver, until):
     driver.say(State.OFF)
     for name in ("line_4/controller", "line_4/camera: frames", "camera_1", "camera_2"):
         driver.report(name, "no samples")
@@ -165,8 +165,8 @@ def enabling(node, success=True, before=lambda: None):
     return asked
 
 
-def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant):
-    impatient, driver = [], Driver()
+def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(participant, driver):
+    impatient = []
     asked = enabling(participant.node, before=lambda: impatient and impatient.pop().send_signal(signal.SIGINT))
     example = str(REPOSITORY / "examples" / "stroke_client.py")
 
@@ -188,12 +188,10 @@ def test_the_example_of_a_client_leaves_the_amplifier_off_whatever_ends_it(parti
     fault = Latched(Fault.Y_FROZEN, "y stands", 0)
     code, said, seen = ended(["3"], lambda client: driver.say(State.FAULT, fault))
     assert (code, seen) == (1, [True, False]) and said.startswith("amplifier off: y_frozen")
-    driver.node.destroy_node()
 
 
 @pytest.mark.parametrize("end", ["answers", "refuses", "reports it off", "reported it off before", "leaves"])
-def test_a_client_that_leaves_knows_what_became_of_the_amplifier(participant, end):
-    driver = Driver()
+def test_a_client_that_leaves_knows_what_became_of_the_amplifier(participant, driver, end):
     # The driver's own node is not spun: it does not answer.
     asked = enabling(participant.node if end in ("answers", "refuses") else driver.node, end == "answers")
     client = GraphClient(participant.node, ["driver"], batches=())
@@ -212,8 +210,6 @@ def test_a_client_that_leaves_knows_what_became_of_the_amplifier(participant, en
     assert left.result() == {"refuses": "no", "leaves": "the driver has left the graph"}.get(end, "")
     assert asked == ([False] if end in ("answers", "refuses") else [])
     client.streams.close()
-    if end != "leaves":
-        driver.node.destroy_node()
 
 
 @pytest.mark.parametrize(
