@@ -4,7 +4,6 @@ The stand-in knows exactly the names that the launch files may use, as they are 
 fails here. What launch does with the actions is not tested.
 """
 
-import os
 import re
 import runpy
 import sys
@@ -23,6 +22,7 @@ from straightcomp_ros.parameters.yaml_text import node_sections
 LAUNCH_FILES = sorted((REPOSITORY / "launch").glob("*.launch.py"))
 CELL = REPOSITORY / "launch" / "cell.launch.py"
 SHIPPED, SHIPPED_STAGE = (str(REPOSITORY / name) for name in (DEFAULT_FILE, DEFAULT_STAGE))
+SHIPPED_TOO = str(REPOSITORY / "docs" / ".." / DEFAULT_FILE)
 KNOWN = {
     "launch": "LaunchContext LaunchDescription",
     "launch.actions": "DeclareLaunchArgument EmitEvent IncludeLaunchDescription OpaqueFunction RegisterEventHandler "
@@ -167,24 +167,6 @@ def test_the_cell_starts_each_node_once_and_its_last_waits_for_those_that_are_th
     assert found.index(handler) < found.index(last)
 
 
-@pytest.mark.parametrize("composed", ["true", "false"])
-@pytest.mark.parametrize(
-    ("arguments", "behind"),
-    [
-        ({}, [SHIPPED_STAGE]),
-        ({"params_file": os.path.relpath(SHIPPED)}, [SHIPPED_STAGE]),
-        ({"params_file": "trial/tuned.yaml"}, []),
-        ({"stage": "gantry/stage.yaml"}, ["gantry/stage.yaml"]),
-        ({"params_file": "trial/tuned.yaml", "stage": "gantry/stage.yaml"}, ["gantry/stage.yaml"]),
-    ],
-)
-def test_the_shipped_stage_takes_the_place_of_no_description_of_the_users(arguments, behind, composed):
-    for node in of_kind("Node", CELL, **arguments, composed=composed):
-        [file, *stages] = [one for one in node.kwargs["parameters"] if isinstance(one, Recorded)]
-        assert configurations(file) == {"params_file"}
-        assert [stage.perform(arguments) for stage in stages] == behind
-
-
 OVERRIDES = """controller law control.law
 logger output output
 driver hardware hardware
@@ -213,29 +195,6 @@ def stage(tmp_path):
     return tmp_path / "stage.yaml"
 
 
-@pytest.mark.parametrize("argument", ["stage", "params_file"])
-@pytest.mark.parametrize("namespace", ["", "left"])
-def test_a_survey_next_to_the_description_is_found_wherever_the_launch_is_started(stage, namespace, argument):
-    stage.write_text(stage.read_text().replace("/**", f"{namespace}/**"))
-    for node in of_kind("Node", CELL, **{argument: str(stage)}, namespace=namespace):
-        assert given(node)["stage.guide.file"] == str(stage.with_name("guide.csv"))
-
-
-@pytest.mark.parametrize("beside", [True, False])
-def test_a_node_s_own_survey_takes_precedence_over_that_of_all_wherever_it_is(stage, beside, monkeypatch):
-    work = stage.parent / "work"
-    work.mkdir()
-    monkeypatch.chdir(work)
-    own = stage.with_name("own.csv") if beside else work / "own.csv"
-    own.touch()
-    section = "{ros__parameters: {stage.guide.file: own.csv}}"
-    stage.write_text(f"{{{stage.read_text()}, feedforward: {section}}}")
-    nodes = of_kind("Node", CELL, stage=str(stage))
-    found = given(nodes[named(nodes).index("feedforward")])
-    # The node finds what is in the working directory by itself.
-    assert found == ({"stage.guide.file": str(own)} if beside else {})
-
-
 @pytest.mark.parametrize("composed", ["true", "false"])
 @pytest.mark.parametrize("argument", ["stage", "params_file"])
 def test_a_file_for_another_namespace_only_starts_no_node(stage, argument, composed):
@@ -255,46 +214,64 @@ def taken(node, files):
     return {name: value for given in matching for name, value in given.items()}
 
 
-@pytest.mark.parametrize(
-    ("own", "key", "expected"),
-    [
-        # The shipped file has that section, before the `/**` of the stage file.
-        ("", "/**/feedforward", "guide.csv"),
-        ("", "/feedforward", "own.csv"),
-        ("/**: {ros__parameters: {stage.rate: 500}}, /feedforward: {SURVEY}", "/driver", "other.csv"),
-        ("/feedforward: {SURVEY}, /**: {ros__parameters: {stage.rate: 500}}", "/driver", "guide.csv"),
-    ],
-)
-def test_of_several_surveys_of_both_files_a_node_is_given_that_which_it_takes(stage, own, key, expected):
-    for name in ("own.csv", "other.csv"):
-        stage.with_name(name).touch()
-    stage.write_text(f"{{{stage.read_text()}, {key}: {{ros__parameters: {{stage.guide.file: own.csv}}}}}}")
-    params_file = stage.with_name("own.yaml")
-    params_file.write_text(f"{{{own.replace('SURVEY', 'ros__parameters: {stage.guide.file: other.csv}')}}}")
-    file = str(params_file) if own else SHIPPED
-    nodes = of_kind("Node", CELL, params_file=file, stage=str(stage))
-    found = given(nodes[named(nodes).index("feedforward")])
-    assert taken("/feedforward", [file, str(stage)])["stage.guide.file"] == expected
-    # A survey of the parameter file is not looked for in the stage file's folder.
-    assert found == ({} if expected == "other.csv" else {"stage.guide.file": str(stage.with_name(expected))})
+GUIDE, OWN, OTHER = (f"{{ros__parameters: {{stage.guide.file: {name}.csv}}}}" for name in ("guide", "own", "other"))
+RATE, NOTHING = "{ros__parameters: {stage.rate: 500}}", "{ros__parameters: {}}"
+LINEAR = "{ros__parameters: {control.law: linear}}"
 
 
 @pytest.mark.parametrize("composed", ["true", "false"])
-@pytest.mark.parametrize("params_file", [SHIPPED, "own.yaml"])
-@pytest.mark.parametrize("namespace", ["", "left"])
-def test_a_cell_takes_its_overrides_after_all_sections_of_the_files(stage, namespace, params_file, composed):
-    own, full = stage.with_name("own.yaml"), f"/{namespace}" if namespace else ""
-    sections = [f"{full}/{node}: {{ros__parameters: {{}}}}" for node in ("driver", "feedforward", "controller")]
-    law = "/**: {ros__parameters: {control.law: linear}}"
-    own.write_text(f"{{{', '.join([*sections, law])}}}")
-    file = params_file if params_file == SHIPPED else str(own)
-    arguments = {"params_file": file, "stage": str(stage), "map": "other.csv", "namespace": namespace, "law": "smc"}
-    loop = of_kind("Node", CELL, **arguments, composed=composed)[: 1 if composed == "true" else 3]
-    files = [file, str(stage), *(node.kwargs["parameters"][-1] for node in loop)]
-    survey = str(stage.with_name("guide.csv"))
-    for node, expected in (("driver", survey), ("feedforward", "other.csv"), ("controller", survey)):
-        assert taken(f"{full}/{node}", files)["stage.guide.file"] == expected
-    assert taken(f"{full}/controller", files)["control.law"] == "smc"
+@pytest.mark.parametrize("namespace", ["", "/left"])
+@pytest.mark.parametrize(
+    ("params_file", "described", "survey"),
+    [
+        # The shipped stage is behind the shipped parameters alone.
+        (None, None, "shipped"),
+        (SHIPPED_TOO, None, "shipped"),
+        (SHIPPED, f"NS/**: {GUIDE}", "guide"),
+        (f"NS/**: {GUIDE}", None, "guide"),
+        # A node's own survey takes precedence, also where it is in the working directory.
+        (SHIPPED, f"NS/**: {GUIDE}, NS/feedforward: {OWN}", "own"),
+        (SHIPPED, f"NS/**: {GUIDE}, NS/feedforward: {OTHER}", "other"),
+        # The shipped file has that section, before the `/**` of the stage file.
+        (SHIPPED, f"/**: {GUIDE}, /**/feedforward: {OWN}", "guide"),
+        (f"/**: {RATE}, NS/feedforward: {OTHER}", f"/**: {GUIDE}, NS/driver: {GUIDE}", "other"),
+        (f"NS/feedforward: {OTHER}, /**: {RATE}", f"/**: {GUIDE}, NS/driver: {GUIDE}", "guide"),
+        (f"NS/controller: {NOTHING}, NS/feedforward: {NOTHING}, /**: {LINEAR}", f"NS/**: {GUIDE}", "guide"),
+    ],
+)
+def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_description_and_overrides_after_all_sections(
+    tmp_path, monkeypatch, params_file, described, survey, namespace, composed
+):
+    work, arguments = tmp_path / "work", {"namespace": namespace, "composed": composed}
+    work.mkdir()
+    monkeypatch.chdir(work)
+    places = {"guide": tmp_path / "guide.csv", "own": tmp_path / "own.csv", "other": work / "other.csv"}
+    for place in places.values():
+        place.touch()
+    for argument, text in (("params_file", params_file), ("stage", described)):
+        if text in (None, SHIPPED, SHIPPED_TOO):
+            arguments |= {argument: text} if text else {}
+            continue
+        arguments[argument] = str(tmp_path / f"{argument}.yaml")
+        Path(arguments[argument]).write_text(f"{{{text.replace('NS', namespace)}}}")
+
+    def takes(**overrides):
+        """Survey and law of each node of the loop."""
+        nodes = of_kind("Node", CELL, **arguments, **overrides)
+        context = {"params_file": SHIPPED, **arguments}
+        for number, node in enumerate(("driver", "feedforward", "controller")):
+            given = nodes[0 if composed == "true" else number].kwargs["parameters"]
+            files = [one.perform(context) if isinstance(one, Recorded) else one for one in given]
+            values = taken(f"{namespace}/{node}", files)
+            yield values["stage.guide.file"], values.get("control.law")
+
+    shipped = read_parameter_file(SHIPPED_STAGE)["stage"]["guide.file"]
+    # A node finds what is in the working directory by itself.
+    survey_of = {"guide": str(places["guide"]), "own": str(places["own"]), "other": "other.csv", "shipped": shipped}
+    of_all = survey_of["shipped" if survey == "shipped" else "guide"]
+    assert [name for name, _ in takes()] == [of_all, survey_of[survey], of_all]
+    overridden = [*takes(map="third.csv", law="smc")]
+    assert [name for name, _ in overridden] == [of_all, "third.csv", of_all] and overridden[2][1] == "smc"
 
 
 def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(stage):
