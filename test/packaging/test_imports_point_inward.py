@@ -116,28 +116,20 @@ def test_the_topics_of_the_path_are_those_of_the_contract_in_its_order():
     assert drawn == [encoder.topic, encoder.batch_topic, reference.batch_topic, command.topic]
 
 
-def test_imports_point_downward_or_to_the_same_row():
+def test_imports_point_downward_or_to_the_same_row_no_wing_imports_the_other_and_nothing_the_trials():
     height = {name: -number for number, row in enumerate(rows()) for name in row}
     pairs = [(path, name) for path in modules() for name in imports_of(path) if room(name)]
-    assert len(pairs) > 1000
+    assert len(pairs) > 1000 and rows()[0] == [*WINGS]
     assert [(name_of(path), name) for path, name in pairs if height[room(name)] > height[room_of(path)]] == []
+    assert [(name_of(path), name) for path, name in pairs if {room(name), room_of(path)} == {*WINGS}] == []
+    assert [
+        name_of(path) for path in modules() if any(name.split(".")[0] == "trials" for name in imports_of(path))
+    ] == []
 
 
 def test_only_the_outer_rooms_know_ros():
     core = [path for path in modules() if not name_of(path).startswith(WITH_ROS)]
     assert [(name_of(path), name) for path in core for name in imports_of(path) if belongs_to_ros(name)] == []
-
-
-def test_the_servo_imports_no_wing_a_wing_no_other_and_nothing_the_trials():
-    assert any(room_of(path) in WINGS for path in modules())
-    allowed = {wing: {wing} for wing in WINGS}
-    found = [
-        (name_of(path), name)
-        for path in modules()
-        for name in imports_of(path)
-        if name.split(".")[0] == "trials" or room(name) in set(WINGS) - allowed.get(room_of(path), set())
-    ]
-    assert found == []
 
 
 def test_the_command_line_starts_without_ros():

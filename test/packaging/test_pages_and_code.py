@@ -36,6 +36,7 @@ LINKING = sorted(
 )
 SETS = {STAGE: StageParameters, **NODE_PARAMETERS}
 PARAMETERS = {node: {one.name for one in declarations(kind)} for node, kind in SETS.items()}
+SHIPPED = shipped_parameters()
 OF_ANY_NODE = set().union(*PARAMETERS.values())
 
 
@@ -88,15 +89,11 @@ def test_every_command_is_one_that_the_program_takes(page, parser, capsys):
             assert end.code == 0 or (lacking and len(words) <= 3), command
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_rig_that_is_named_can_be_run(page):
-    assert set(re.findall(r"python -m trials ([a-z_]+)", page.read_text(encoding="utf-8"))) <= set(RIGS)
-
-
 @pytest.mark.parametrize("page", [*PAGES, REPOSITORY / "QUALITY_DECLARATION.md"], ids=lambda page: page.name)
-def test_every_extra_that_is_named_exists(page, setup_arguments):
-    named = set(re.findall(r"extra `\[?(\w+)", page.read_text(encoding="utf-8")))
-    assert named <= set(setup_arguments["extras_require"])
+def test_every_rig_that_is_named_can_be_run_and_every_extra_exists(page, setup_arguments):
+    text = page.read_text(encoding="utf-8")
+    assert set(re.findall(r"python -m trials ([a-z_]+)", text)) <= set(RIGS)
+    assert set(re.findall(r"extra `\[?(\w+)", text)) <= set(setup_arguments["extras_require"])
 
 
 SCALES = {"ms": 1e-3, "µs": 1e-6, "mm": 1e-3, "µm": 1e-6, "nm": 1e-9, "mA": 1e-3, "%": 1e-2}
@@ -106,14 +103,15 @@ STATED = re.compile(r"`([a-z_]+(?:\.[a-z_0-9]+)*)` (?:= |\()(-?\d[\d.]*(?:e-?\d+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_value_of_a_parameter_that_a_page_states_is_the_default_or_the_shipped_one(page):
     """As in `first_size` (0.15), `control.smc_observer.memory` (2 s) or `stage.guide.reversal` (2 mm)."""
-    shipped = shipped_parameters()
-    known = [(node, one) for node, kind in SETS.items() for one in declarations(kind)]
     for name, number, unit in STATED.findall(page.read_text(encoding="utf-8")):
         plain = name.removeprefix("stage.")
         meant = [
-            (node, one) for node, one in known if one.kind in (int, float) and f".{one.name}".endswith(f".{plain}")
+            (node, one)
+            for node, kind in SETS.items()
+            for one in declarations(kind)
+            if one.kind in (int, float) and f".{one.name}".endswith(f".{plain}")
         ]
-        values = [value for node, one in meant for value in (one.default, shipped[node].get(one.name, one.default))]
+        values = [value for node, one in meant for value in (one.default, SHIPPED[node].get(one.name, one.default))]
         assert not meant or any(value == pytest.approx(float(number) * SCALES.get(unit, 1.0)) for value in values), name
 
 
