@@ -25,8 +25,16 @@ from straightcomp_ros.parameters.output_files import (
 from straightcomp_ros.parameters.share import private_folder
 
 
-@pytest.mark.parametrize("content", ["Straßenbahn\n", b"\x00\xff"])
-def test_text_and_bytes_replace_what_was_there_and_are_written_where_the_caller_wants_first(tmp_path, content):
+@pytest.mark.parametrize(
+    ("content", "written"),
+    [
+        ("Straßenbahn\n", "Straßenbahn\n".encode()),
+        (b"\x00\xff", b"\x00\xff"),
+        # A name of a file that is no UTF-8.
+        ("# source: M_\udcfc.csv, 1 µm\n", "# source: M_\\udcfc.csv, 1 µm\n".encode()),
+    ],
+)
+def test_text_and_bytes_replace_what_was_there_and_are_written_where_the_caller_wants_first(tmp_path, content, written):
     file, parts = tmp_path / "file", tmp_path / "parts"
     file.write_text("old")
     with pytest.raises(FileNotFoundError):
@@ -35,13 +43,8 @@ def test_text_and_bytes_replace_what_was_there_and_are_written_where_the_caller_
     parts.mkdir()
     for folder in (None, parts):
         write_whole(file, content, folder)
-        assert file.read_bytes() == (content.encode() if isinstance(content, str) else content)
+        assert file.read_bytes() == written
         assert {one.name for one in tmp_path.iterdir()} == {"file", "parts"} and not list(parts.iterdir())
-
-
-def test_a_name_of_a_file_that_is_no_utf8_is_escaped_in_a_text(tmp_path):
-    write_whole(tmp_path / "file", "# source: M_\udcfc.csv, 1 µm\n")
-    assert (tmp_path / "file").read_text(encoding="utf-8") == "# source: M_\\udcfc.csv, 1 µm\n"
 
 
 def test_a_file_keeps_its_mode_and_the_link_that_leads_to_it(tmp_path):
