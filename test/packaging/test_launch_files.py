@@ -4,7 +4,6 @@ The stand-in knows exactly the names that the launch files may use, as they are 
 fails here. What launch does with the actions is not tested.
 """
 
-import re
 import runpy
 import sys
 import tempfile
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from places import REPOSITORY
+from rcl_sections import taken
 
 from straightcomp_ros.parameters.declaration import ParameterError, declarations
 from straightcomp_ros.parameters.node_parameters import NODE_PARAMETERS
@@ -201,17 +201,6 @@ def test_a_file_for_another_namespace_only_starts_no_node(stage, argument, compo
     stage.write_text(stage.read_text().replace("/**", "left/**"))
     with pytest.raises(ParameterError, match=rf"{stage}: .*no namespace.*left/\*\*"):
         entities(CELL, {argument: str(stage), "composed": composed})
-
-
-def taken(node, files):
-    """Parameters of a node, by its full name, as rcl and rclpy take them: rcl joins sections of one key at the place of
-    the first, and rclpy goes through them in this order."""
-    joined = {}
-    for file in files:
-        for key, given in node_sections(Path(file)):
-            joined.setdefault(key, {}).update(given)
-    matching = [given for key, given in joined.items() if re.fullmatch(key.replace("/*", r"(/\w+)"), node)]
-    return {name: value for given in matching for name, value in given.items()}
 
 
 GUIDE, OWN, OTHER = (f"{{ros__parameters: {{stage.guide.file: {name}.csv}}}}" for name in ("guide", "own", "other"))

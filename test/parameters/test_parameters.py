@@ -9,6 +9,10 @@ from typing import get_type_hints
 import numpy as np
 import pytest
 import yaml
+from hypothesis import example, given
+from hypothesis import settings as of_examples
+from hypothesis import strategies as st
+from rcl_sections import taken
 
 from scripts import make_parameter_file
 from straightcomp_ros.cli.options import chosen_parameters, settings
@@ -207,36 +211,50 @@ def test_a_written_parameter_file_is_read_as_it_was_with_the_facts_of_all_nodes_
     assert read_parameter_file(path, namespace="stage_1")["driver"] == {"simulated.initial_y": 1e-6}
 
 
-@pytest.mark.parametrize(
-    ("keys", "alone", "in_stage_2"),
-    [
-        (["driver"], 1, None),
-        (["/*/driver"], None, 1),
-        (["/**/driver", "/stage_2/driver"], 1, 2),
-        (["driver", "/**/driver", "/*"], 3, 2),
-        (["/stage_1/driver", "/stage_2/driver"], None, 2),
-        (["/**:driver", "/stage_2:*", "/*/**/**"], 3, 3),
-        (["stage_2/:driver", "/stage_2/**/driver:cell"], None, 1),
-    ],
-)
-def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alone, in_stage_2):
-    """The number of the section that counts; None: the file is refused. A colon stands between nested keys."""
-    path, tree = tmp_path / "p.yaml", {}
-    for number, key in enumerate(keys, 1):
-        section = {"ros__parameters": {"stage.rate": 1000 * number}}
-        for level in reversed(key.split(":")):
-            section = {level: section}
-        tree |= section
-    path.write_text(yaml.safe_dump(tree, sort_keys=False))
-    for namespace, number in (("", alone), ("/stage_2/", in_stage_2)):
-        if number:
-            assert node_parameters("driver", read_parameter_file(path, namespace=namespace)).stage.rate == 1000 * number
-            given = Namespace(params_file=str(path), stage=None, law=None, set=[], namespace=namespace)
-            assert node_parameters("driver", chosen_parameters(given)).stage.rate == 1000 * number
+MASS = "stage.platform.mass"
+KEYS = ["/**", "/*", "driver", "/**/driver", "/*/driver", "/*/**/**"]
+KEYS += ["/**:driver", "/stage_2:*", "stage_2/:driver", "/stage_2/**/driver"]
+"""A colon stands between nested keys."""
+SECTIONS = st.lists(st.sampled_from(KEYS), min_size=1, max_size=4, unique_by=lambda key: key.partition(":")[0])
+
+
+@of_examples(max_examples=40)
+@given(of_nodes=SECTIONS, of_stage=SECTIONS, namespace=st.sampled_from(["", "/stage_2"]))
+@example(["driver", "/**"], ["/**"], "")
+@example(["/**", "driver"], ["/**", "driver"], "")
+@example(["driver"], ["/**", "driver"], "")
+@example(["driver"], ["/**:driver"], "")
+def test_of_all_sections_of_two_files_a_node_takes_those_that_rcl_gives_it(
+    tmp_path_factory, of_nodes, of_stage, namespace
+):
+    files, key_of = [tmp_path_factory.getbasetemp() / name for name in ("p.yaml", "stage.yaml")], {}
+    for file, keys in zip(files, (of_nodes, of_stage), strict=True):
+        tree = {}
+        for key in keys:
+            key_of[mass := len(key_of) + 1.0] = key
+            section = {"ros__parameters": {MASS: mass}}
+            for level in reversed(key.split(":")):
+                section = {level: section}
+            tree |= section
+        file.write_text(yaml.safe_dump(tree, sort_keys=False))
+    found = [taken(f"{namespace}/driver", of).get(MASS) for of in (files[:1], files[1:], files)]
+    for file, mass in zip(files, found[:2], strict=True):
+        if mass:
+            read = read_parameter_file(file, namespace=namespace)
+            assert node_parameters("driver", read).stage.platform.mass == mass
         else:
-            last = re.escape(keys[-1].replace(":", "/"))
-            with pytest.raises(ParameterError, match=rf"p\.yaml: is for other nodes .*{last}; allowed: /\*\*/NODE"):
-                read_parameter_file(path, namespace=namespace)
+            with pytest.raises(ParameterError, match=rf"{file}: is for other nodes .*; allowed: /\*\*/NODE"):
+                read_parameter_file(file, namespace=namespace)
+    if not all(found[:2]):
+        return
+    given = Namespace(params_file=str(files[0]), stage=str(files[1]), law=None, set=[], namespace=namespace)
+    _, alone, together = (key_of[mass].endswith("driver") for mass in found)
+    if alone and not together:
+        # A node would take what the stage file says of all.
+        with pytest.raises(ParameterError, match=rf"{files[1]}: '{MASS}' of one node"):
+            chosen_parameters(given)
+    else:
+        assert node_parameters("driver", chosen_parameters(given)).stage.platform.mass == found[2]
 
 
 @pytest.mark.parametrize(
@@ -255,43 +273,6 @@ def test_sections_are_for_the_nodes_that_rcl_takes_them_for(tmp_path, keys, alon
 )
 def test_a_number_that_is_set_is_a_text_where_the_parameter_is_one(assignment, node, value):
     assert settings([assignment]) == {node: value}
-
-
-COMMON, OWN = {"/**": 4.0}, {"/**/driver": 5.0}
-
-
-@pytest.mark.parametrize(
-    ("sections", "behind", "mass", "together"),
-    [
-        (OWN | COMMON, {"/**": 6.0}, 4.0, 6.0),
-        (OWN | COMMON, {"/**": 6.0, "driver": 7.0}, 4.0, 7.0),
-        # Sections of one key are one, at the place of the first.
-        (COMMON | OWN, {"/**": 6.0}, 5.0, 5.0),
-        (COMMON, {"/**/driver": 7.0}, 4.0, 7.0),
-        # A node would take the 6.0.
-        (OWN, {"/**": 6.0, "/**/driver": 7.0}, 5.0, None),
-        (OWN, {"/**": {"driver": 7.0}}, 5.0, 7.0),
-    ],
-)
-def test_of_several_sections_and_files_with_a_fact_that_counts_which_a_node_takes(
-    tmp_path, sections, behind, mass, together
-):
-    path, stage = tmp_path / "p.yaml", tmp_path / "stage.yaml"
-
-    def section(given):
-        if isinstance(given, dict):
-            return {key: section(value) for key, value in given.items()}
-        return {"ros__parameters": {"stage.platform.mass": given}}
-
-    for file, given in ((path, sections), (stage, behind)):
-        file.write_text(yaml.safe_dump(section(given), sort_keys=False))
-    assert node_parameters("driver", read_parameter_file(path)).stage.platform.mass == mass
-    assert node_parameters("driver", shipped_parameters(str(path))).stage.platform.mass == mass
-    if together is None:
-        with pytest.raises(ParameterError, match=rf"{stage}: 'stage.platform.mass' of one node, 7.0"):
-            shipped_parameters(str(path), str(stage))
-    else:
-        assert node_parameters("driver", shipped_parameters(str(path), str(stage))).stage.platform.mass == together
 
 
 def test_both_files_may_be_pipes_of_a_shell():
