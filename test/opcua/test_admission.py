@@ -107,8 +107,8 @@ def test_users_that_are_added_at_once_are_all_there_and_only_the_owner_can_read_
     path = tmp_path / "users"
     path.write_text("# ours\n")
     path.chmod(0o644)
-    names = [f"user{number}" for number in range(10)]
-    with ThreadPoolExecutor(10) as pool:
+    names = [f"user{number}" for number in range(5)]
+    with ThreadPoolExecutor(5) as pool:
         list(pool.map(lambda name: add_user(path, name, f"password of {name}", "viewer"), names))
     assert all(Users(path).role(name, f"password of {name}") == "viewer" for name in names)
     assert path.read_text().startswith("# ours\n") and stat.S_IMODE(path.stat().st_mode) == 0o600

@@ -371,6 +371,12 @@ async def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_l
     users.write_text(others)
 
 
+@pytest.fixture(scope="module")
+def keys():
+    """To make a key takes as long as all the rest."""
+    return {"own": generate_private_key(), "foreign": generate_private_key()}
+
+
 @pytest.mark.parametrize(
     "names, days, key, words",
     [
@@ -383,14 +389,15 @@ async def test_a_user_who_is_removed_is_out_at_once_and_a_file_that_is_refused_l
         (None, 365, "own", "made .*valid to"),
     ],
 )
-def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(tmp_path, caplog, names, days, key, words):
-    own, foreign = generate_private_key(), generate_private_key()
-    before = {}
-    if key:
-        before["key.pem"] = dump_private_key_as_pem(own if key == "own" else foreign)
+def test_a_certificate_that_is_there_is_kept_and_refused_if_it_cannot_work(
+    tmp_path, caplog, keys, names, days, key, words
+):
+    before = {"key.pem": dump_private_key_as_pem(keys[key])} if key else {}
     if names:
         others = [x509.UniformResourceIdentifier(names[0]), x509.DNSName(names[1])]
-        issued = generate_self_signed_app_certificate(own, "a", {}, others, [ExtendedKeyUsageOID.SERVER_AUTH], days)
+        issued = generate_self_signed_app_certificate(
+            keys["own"], "a", {}, others, [ExtendedKeyUsageOID.SERVER_AUTH], days
+        )
         before["certificate.der"] = issued.public_bytes(Encoding.DER)
     for name, content in before.items():
         (tmp_path / name).write_bytes(content)
