@@ -96,37 +96,40 @@ def test_a_verb_of_two_packages_or_without_its_extra_is_refused_and_the_packages
     assert code == 0 and "other-scales and scales" in printed
 
 
+def python(code):
+    """What a process of its own prints: modules that are imported a second time would be other ones than those of later
+    tests."""
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, cwd=REPOSITORY / "test", check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 @pytest.mark.parametrize("extra", sorted({extra for entry in OURS.values() for extra in entry.extras}))
 def test_without_its_extra_a_verb_of_a_wing_works_or_says_which_to_install(extra):
-    # In a process of its own: modules that are imported a second time would be other ones than those of later tests.
-    code = f"""import io, sys
-from contextlib import redirect_stderr
+    python(f"""import sys
 sys.modules.update(dict.fromkeys({list(EXTRAS[extra])!r}))
 from verbs import ran
 for verb in {[name for name, entry in OURS.items() if extra in entry.extras]!r}:
     ended = ran(verb, "--help")
-    assert ended.code == 0 or (ended.code == 2 and "pip install 'straightcomp_ros[{extra}]'" in ended.err), ended"""
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=REPOSITORY / "test")
-    assert ended.returncode == 0, ended.stderr
+    assert ended.code == 0 or (ended.code == 2 and "pip install 'straightcomp_ros[{extra}]'" in ended.err), ended""")
 
 
 def test_the_help_imports_no_verb_and_the_servo_nothing_that_only_an_extra_brings():
     """Its verbs with all that they import at their start, and every module of its nodes' parameters."""
     modules = [entry.module for entry in OURS.values() if not entry.extras]
-    program = f"""import importlib, sys
+    printed = python(f"""import importlib, sys
 from straightcomp_ros.cli.main import main
 try: main(["--help"])
 except SystemExit: assert "straightcomp_ros.cli.simulate" not in sys.modules
 for name in {[*modules, "straightcomp_ros.parameters.node_parameters"]!r}: importlib.import_module(name)
-assert not {set().union(*EXTRAS.values())!r} & sys.modules.keys()"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-    lines = [line.split() for line in done.stdout.splitlines()]
+assert not {set().union(*EXTRAS.values())!r} & sys.modules.keys()""")
+    lines = [line.split() for line in printed.splitlines()]
     for verb in installed_verbs():
         assert any(line[:1] == [verb] and len(line) > 2 for line in lines), verb
     purposes = [" ".join(line)[:-1] for line in lines if line and line[-1].endswith(":")]
     assert [purpose for purpose in purposes if purpose in PURPOSES] == [*PURPOSES[:-1]]
-    assert "straightcomp doctor" in done.stdout
+    assert "straightcomp doctor" in printed
 
 
 MODULES = ("parameters.node_parameters", "runtime.managed")
@@ -146,9 +149,7 @@ EVALUATE = "from straightcomp_ros.cli.main import main; assert main(['evaluate',
     ids=[*MODULES, "a law that is not stepped", "evaluate"],
 )
 def test_what_does_not_compute_imports_nothing_heavy(code, forbidden):
-    code = f"{code}\nimport sys; assert not {set(forbidden.split())!r} & sys.modules.keys()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
+    python(f"{code}\nimport sys; assert not {set(forbidden.split())!r} & sys.modules.keys()")
 
 
 def test_every_option_is_explained_and_has_one_name_everywhere_and_every_verb_with_a_result_has_json():
@@ -221,6 +222,7 @@ def test_the_version_is_the_manifests(verb):
     assert verb("--version") == (0, f"straightcomp {version}\n", "")
 
 
+COMMAND = [sys.executable, "-m", "straightcomp_ros.cli.main"]
 BUILD = f"map build {REPOSITORY}/config/survey_synthetic.csv"
 
 
@@ -228,15 +230,14 @@ BUILD = f"map build {REPOSITORY}/config/survey_synthetic.csv"
     ("words", "unbuffered"),
     [
         # Printed by the verb, by rich, and an error.
-        *(("completion bash", ""), (BUILD, ""), (BUILD, "1"), ("map build no", "")),
-        *nightly([("completion bash", "1"), ("--version", ""), ("--version", "1"), ("map build no", "1")]),
+        *(("completion bash", ""), (BUILD, "1"), ("map build no", "")),
+        *nightly([("completion bash", "1"), (BUILD, ""), ("--version", ""), ("--version", "1"), ("map build no", "1")]),
     ],
 )
 def test_an_output_that_is_closed_or_full_ends_a_command_with_its_exit_code(words, unbuffered):
     """Whether Python keeps what is printed until its end, or not."""
-    command = [sys.executable, "-m", "straightcomp_ros.cli.main", *words.split()]
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
-    run = partial(subprocess.run, command, env=environment, text=True, timeout=600, check=False)
+    run = partial(subprocess.run, [*COMMAND, *words.split()], env=environment, text=True, timeout=600, check=False)
     wrong = words == "map build no"
     read, write = os.pipe()
     os.close(read)
@@ -250,14 +251,10 @@ def test_an_output_that_is_closed_or_full_ends_a_command_with_its_exit_code(word
 
 
 def test_a_command_whose_standard_streams_are_closed_does_its_work(tmp_path):
-    command = [sys.executable, "-m", "straightcomp_ros.cli.main", "stage", "new", str(tmp_path / "one")]
-    for closed, force in ((">&-", ""), ("<&- >&- 2>&-", "--force")):
-        done = subprocess.run(
-            f"{shlex.join([*command, *force.split()])} {closed}", shell=True, timeout=600, check=False
-        )
-        assert done.returncode == 0
-    done = subprocess.run(f"{shlex.join(command)} >&-", shell=True, stderr=subprocess.PIPE, timeout=600, check=False)
-    assert done.returncode == 2 and b"is there already" in done.stderr
+    command = shlex.join([*COMMAND, "stage", "new", str(tmp_path / "one")])
+    for closed, code, said in ((">&-", 0, b""), ("--force <&- >&- 2>&-", 0, b""), (">&-", 2, b"is there already")):
+        done = subprocess.run(f"{command} {closed}", shell=True, stderr=subprocess.PIPE, timeout=600, check=False)
+        assert done.returncode == code and said in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -33,24 +33,25 @@ ONLY_ON_ROS = {"ros2launch"}
 
 
 @cache
+def imported_by(path):
+    """Top names that a Python file imports, apart from the standard library and files of ours."""
+    found = {name.partition(".")[0] for name in imported(path.read_text(encoding="utf-8"), (PACKAGE,))}
+    return found - OURS - sys.stdlib_module_names - NOT_NEEDED
+
+
 def foreign_imports(*folders):
-    """Top names that the Python files below import, apart from the standard library and files of ours."""
-    texts = (path.read_text(encoding="utf-8") for folder in folders for path in (REPOSITORY / folder).rglob("*.py"))
-    found = {name.partition(".")[0] for text in texts for name in imported(text, (PACKAGE,))}
-    return frozenset(found - OURS - sys.stdlib_module_names - NOT_NEEDED)
+    return set().union(*(imported_by(path) for folder in folders for path in (REPOSITORY / folder).rglob("*.py")))
 
 
 def of_ros(names):
     return set(filter(belongs_to_ros, names))
 
 
-@cache
 def by_package():
     # The class of a stream's messages is imported by its name.
     return foreign_imports(PACKAGE, "launch") | {one.layout.type_name.partition("/")[0] for one in STREAMS}
 
 
-@cache
 def by_tests():
     return foreign_imports("test", "benchmarks", "trials")
 
@@ -96,10 +97,11 @@ def test_setup_requires_what_the_package_imports_and_nothing_else(requirements):
     assert ros == of_ros(by_package()) - NO_WHEELS - WITH_RCLPY
 
 
-@pytest.mark.parametrize("extra", ["tuning", "fleet"])
-def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(extra):
-    servo = set(foreign_imports(*(str(path) for path in (REPOSITORY / PACKAGE).iterdir() if path.name != extra)))
-    assert servo & {name for name, entry in LISTED.items() if entry.get("extra") == extra} == set()
+@pytest.mark.parametrize("wing", ["tuning", "fleet"])
+def test_what_an_extra_of_a_wing_brings_is_imported_by_that_wing_alone(wing):
+    brought = {name for name, entry in LISTED.items() if entry.get("extra") == wing}
+    others = set((REPOSITORY / PACKAGE).rglob("*.py")) - set((REPOSITORY / PACKAGE / wing).rglob("*.py"))
+    assert [path for path in others if imported_by(path) & brought] == []
 
 
 def test_the_manifest_names_each_import_by_its_rosdep_key_or_in_its_pip_line(requirements):

@@ -3,11 +3,11 @@
 import io
 import os
 import subprocess
-import sys
 
 import pytest
 from places import REPOSITORY
 from rich.table import Table
+from test_command_line import COMMAND
 from tiers import nightly
 
 from straightcomp_ros.analysis.html_page import blocks, line_figure
@@ -64,7 +64,7 @@ ODD = "evaluate none-µ-\udcff-轴"
 def test_every_text_prints_in_every_encoding(words, encoding, tmp_path):
     command = words.replace("SHIPPED", str(REPOSITORY / "config" / "stage_synthetic.yaml")).split()
     done = subprocess.run(
-        [sys.executable, "-m", "straightcomp_ros.cli.main", *map(os.fsencode, command)],
+        [*COMMAND, *map(os.fsencode, command)],
         env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
         capture_output=True,
         cwd=tmp_path,
