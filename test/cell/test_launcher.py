@@ -22,24 +22,15 @@ from straightcomp_ros.cell.launcher import (
 )
 
 
-def script(path):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("#!/bin/sh\n")
-    path.chmod(0o755)
-    return str(path)
-
-
-@pytest.fixture
-def sourced(tmp_path, monkeypatch):
-    """A sourced installation with a driver, behind a prefix without this package."""
+def test_a_sourced_installation_has_the_executables_and_a_missing_one_is_named_with_the_remedy(tmp_path, monkeypatch):
     prefix = tmp_path / "install"
+    # Behind a prefix without this package.
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'jazzy'}:{prefix}")
-    script(prefix / "share/ament_index/resource_index/packages/straightcomp_ros")
-    return script(prefix / "lib/straightcomp_ros/driver_node")
-
-
-def test_a_sourced_installation_has_the_executables_and_a_missing_one_is_named_with_the_remedy(sourced):
-    assert executable_command("driver_node") == [sourced]
+    driver = prefix / "lib/straightcomp_ros/driver_node"
+    for path in (driver, prefix / "share/ament_index/resource_index/packages/straightcomp_ros"):
+        path.parent.mkdir(parents=True)
+        path.touch(0o755)
+    assert executable_command("driver_node") == [str(driver)]
     with pytest.raises(LaunchError, match=r"'controller_node' is missing in .*/lib/straightcomp_ros; .*colcon build"):
         executable_command("controller_node")
 
@@ -57,9 +48,7 @@ def test_a_checkout_runs_its_own_modules_and_not_what_lies_in_the_working_direct
     assert node.splitlines()[0] == verb.splitlines()[0]
 
 
-@pytest.mark.parametrize(
-    "words", [executable_command("cell_node"), executable_command("opcua_node"), verb_command("view")]
-)
+@pytest.mark.parametrize("words", [executable_command("opcua_node"), verb_command("view")])
 def test_an_rclpy_of_another_python_ends_nodes_and_verbs_with_what_is_missing_and_the_remedy(words, tmp_path):
     (tmp_path / "rclpy").mkdir()
     (tmp_path / "rclpy" / "__init__.py").write_text("import rclpy._rclpy_pybind11")

@@ -37,18 +37,22 @@ def test_a_user_is_known_by_the_right_password_only_and_the_file_does_not_hold_i
     ],
 )
 def test_what_is_no_user_is_refused(tmp_path, name, password, role, words):
-    path = tmp_path / "users"
     with pytest.raises(AdmissionError, match=words):
-        add_user(path, name, password, role)
+        add_user(tmp_path / "users", name, password, role)
+
+
+def test_what_is_no_file_of_users_is_refused(tmp_path):
+    path, loop, pipe = (tmp_path / name for name in ("users", "loop", "pipe"))
     path.write_text("# ours\nann:operator:00\n")
-    with pytest.raises(AdmissionError, match="line 2"):
-        Users(path)
-    (loop := tmp_path / "loop").symlink_to("loop")
-    os.mkfifo(pipe := tmp_path / "pipe")
-    other = [(tmp_path, "Is a directory"), ("/", "Is a directory"), (loop, "Too many levels"), (pipe, "is a pipe")]
-    for found, why in [*other, ("/dev/full", "is larger than")]:
+    loop.symlink_to("loop")
+    os.mkfifo(pipe)
+    reasons = {path: "line 2", tmp_path: "Is a directory", loop: "Too many levels", pipe: "is a pipe"}
+    reasons |= {Path("/"): "Is a directory", Path("/dev/full"): "is larger than"}
+    for found, why in reasons.items():
         with pytest.raises(AdmissionError, match=why):
-            add_user(Path(found), "ann", "long enough", "viewer")
+            add_user(found, "ann", "long enough", "viewer")
+        with pytest.raises(AdmissionError, match=why):
+            Users(found)
 
 
 def test_the_verb_writes_the_file(tmp_path, monkeypatch, verb):
