@@ -204,12 +204,12 @@ def test_a_file_for_another_namespace_only_starts_no_node(stage, argument, compo
 
 
 GUIDE, OWN, OTHER = (f"{{ros__parameters: {{stage.guide.file: {name}.csv}}}}" for name in ("guide", "own", "other"))
+SHIPPED_SURVEY = read_parameter_file(SHIPPED_STAGE)["stage"]["guide.file"]
 RATE, NOTHING = "{ros__parameters: {stage.rate: 500}}", "{ros__parameters: {}}"
 LINEAR = "{ros__parameters: {control.law: linear}}"
 
 
-@pytest.mark.parametrize("composed", ["true", "false"])
-@pytest.mark.parametrize("namespace", ["", "/left"])
+@pytest.mark.parametrize(("namespace", "composed"), [("", "false"), ("/left", "true")])
 @pytest.mark.parametrize(
     ("params_file", "described", "survey"),
     [
@@ -254,9 +254,9 @@ def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_descripti
             values = taken(f"{namespace}/{node}", files)
             yield values["stage.guide.file"], values.get("control.law")
 
-    shipped = read_parameter_file(SHIPPED_STAGE)["stage"]["guide.file"]
     # A node finds what is in the working directory by itself.
-    survey_of = {"guide": str(places["guide"]), "own": str(places["own"]), "other": "other.csv", "shipped": shipped}
+    survey_of = {"guide": str(places["guide"]), "own": str(places["own"]), "other": "other.csv"}
+    survey_of["shipped"] = SHIPPED_SURVEY
     of_all = survey_of["shipped" if survey == "shipped" else "guide"]
     assert [name for name, _ in takes()] == [of_all, survey_of[survey], of_all]
     overridden = [*takes(map="third.csv", law="smc")]
