@@ -7,11 +7,13 @@ import re
 import socket
 import threading
 import time
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from asyncua import ua
+from asyncua.common.utils import ServiceError
 from asyncua.crypto.cert_gen import (
     dump_private_key_as_pem,
     generate_private_key,
@@ -40,7 +42,7 @@ from opcua_clients import (
 from straightcomp_ros.cell.demonstration import free_port
 from straightcomp_ros.cell.observation import Observation
 from straightcomp_ros.cell.packml import Command, Order, State
-from straightcomp_ros.opcua import APPLICATION, client, gateway_server
+from straightcomp_ros.opcua import APPLICATION, client, gateway_server, guard
 from straightcomp_ros.opcua.address_space import ARGUMENTS, Snapshot
 from straightcomp_ros.opcua.admission import AdmissionError, OpcuaParameters, add_user
 from straightcomp_ros.opcua.client import CycleFailed, connected
@@ -188,6 +190,25 @@ async def test_one_connection_uses_up_neither_the_logins_nor_the_sessions_of_all
         await outcome(made.create_session())
         await outcome(made.activate_session())
     assert await outcome(connect(plain.url, OPERATOR)) == "done"
+
+
+def test_a_flood_of_logins_costs_no_more_than_some_a_second(monkeypatch):
+    clock, answered = Mock(return_value=100.0), []
+    monkeypatch.setattr(guard, "time", Mock(monotonic=clock))
+    access = guard.Access(Mock(role=lambda name, password: None), encrypted=False)
+    for now in (100.0, 101.0, 1000.0):
+        clock.return_value = now
+        answered.append(0)
+        for _ in range(100):
+            with suppress(ServiceError):
+                answered[-1] += access.get_user(None, "eve", "a guess") is None
+    assert 0 < answered[1] < answered[0] == answered[2] < 50
+
+
+def test_a_client_that_does_not_take_its_answers_is_closed():
+    slow, quick = (Mock(**{"transport.get_write_buffer_size.return_value": unsent}) for unsent in (1 << 30, 1 << 10))
+    gateway_server.make_room([slow, quick], 2)
+    assert slow.transport.abort.called and not quick.transport.abort.called
 
 
 def test_a_flood_of_errors_writes_a_line_a_second_at_most(plain):
