@@ -245,11 +245,12 @@ def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_descripti
         Path(arguments[argument]).write_text(f"{{{text.replace('NS', namespace)}}}")
 
     def takes(**overrides):
-        """Survey and law of each node of the loop."""
+        """Survey and law of each node of the loop, and of the cell."""
         nodes = of_kind("Node", CELL, **arguments, **overrides)
         context = {"params_file": SHIPPED, **arguments}
-        for number, node in enumerate(("driver", "feedforward", "controller")):
-            given = nodes[0 if composed == "true" else number].kwargs["parameters"]
+        for node in ("driver", "feedforward", "controller", "cell"):
+            # In one process the loop is the first.
+            given = nodes[named(nodes).index(node) if node in named(nodes) else 0].kwargs["parameters"]
             files = [one.perform(context) if isinstance(one, Recorded) else one for one in given]
             values = taken(f"{namespace}/{node}", files)
             yield values["stage.guide.file"], values.get("control.law")
@@ -258,9 +259,9 @@ def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_descripti
     survey_of = {"guide": str(places["guide"]), "own": str(places["own"]), "other": "other.csv"}
     survey_of["shipped"] = SHIPPED_SURVEY
     of_all = survey_of["shipped" if survey == "shipped" else "guide"]
-    assert [name for name, _ in takes()] == [of_all, survey_of[survey], of_all]
+    assert [name for name, _ in takes()] == [of_all, survey_of[survey], of_all, of_all]
     overridden = [*takes(map="third.csv", law="smc")]
-    assert [name for name, _ in overridden] == [of_all, "third.csv", of_all] and overridden[2][1] == "smc"
+    assert [name for name, _ in overridden] == [of_all, "third.csv", of_all, of_all] and overridden[2][1] == "smc"
 
 
 def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(stage):
