@@ -220,10 +220,10 @@ SECTIONS = st.lists(st.sampled_from(KEYS), min_size=1, max_size=4, unique_by=lam
 
 @of_examples(max_examples=40)
 @given(of_nodes=SECTIONS, of_stage=SECTIONS, namespace=st.sampled_from(["", "/stage_2"]))
-@example(["driver", "/**"], ["/**"], "")
-@example(["/**", "driver"], ["/**", "driver"], "")
-@example(["driver"], ["/**", "driver"], "")
-@example(["driver"], ["/**:driver"], "")
+@example(["/**/driver", "/**"], ["/**", "driver"], "")
+@example(["/**", "/**/driver"], ["/**"], "")
+@example(["/**/driver"], ["/**", "/**/driver"], "")
+@example(["/**/driver"], ["/**:driver"], "")
 def test_of_all_sections_of_two_files_a_node_takes_those_that_rcl_gives_it(
     tmp_path_factory, of_nodes, of_stage, namespace
 ):
