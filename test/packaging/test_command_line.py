@@ -50,7 +50,7 @@ def install(tmp_path, monkeypatch):
 
 
 VERB = '''"""Weigh the platform."""
-SUMMARY = "weigh it"
+SUMMARY = ("weigh " "it")
 PURPOSE = "set up"
 from straightcomp_ros.cli import Tool
 def _arguments(parser): parser.add_argument("--mass", type=float, default=3.0)
@@ -61,9 +61,8 @@ TOOLS = {"platform": Tool("100 % of its mass", _arguments, _platform)}
 '''
 
 
-@pytest.mark.parametrize("summary", ['"weigh it"', "('weigh ' 'it')"])
-def test_another_package_adds_a_verb_by_an_entry_point(install, verb, summary):
-    install("scales", "weigh", VERB.replace('"weigh it"', summary))
+def test_another_package_adds_a_verb_by_an_entry_point(install, verb):
+    install("scales", "weigh", VERB)
     assert verb("weigh", "platform", "--mass", "4") == (0, "4.0 weigh platform\n", "")
     _, printed, _ = verb("--help")
     assert "weigh it" in printed[printed.index("set up:") : printed.index("tune:")]
