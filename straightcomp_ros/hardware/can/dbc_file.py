@@ -55,10 +55,10 @@ _READ = {"GenMsgCycleTime", "GenSigStartValue", "VFrameFormat", "SystemSignalLon
 _MOST_PAGES, _LONGEST_CYCLE_MS = 1 << 20, 1e9
 _TOO_LARGE = re.compile(
     r"\b\d{1000,}|\b\d+\.?\d*[eE][-+]?\d{4,}"
-    r"|^(?:BO_|SG_)\b[^:]*:[^(]*?(?<!\w)\d{5,}|^SG_MUL_VAL_\s+\d+\s.*?(?<!\w)\d{6,}",
+    r"|^(?:BO_|SG_)\b[^:]*:[^(]*?(?<!\w)\d{5,}",
     re.DOTALL,
 )
-"""Numbers of any kind, sizes and places of messages and signals, pages."""
+"""Numbers of any kind, sizes and places of messages and signals."""
 _WORDS = re.compile(r'"(?:\\"|[^"])*"|//.*')
 """Texts and comments in a statement."""
 _LEAST_FACTOR, _LARGEST_FACTOR = 1e-18, 1e18
@@ -187,9 +187,7 @@ def _refuse_sizes(statements: Iterable[str]) -> None:
     for text in statements:
         plain = _WORDS.sub("", text)
         if found := _TOO_LARGE.search(plain):
-            raise ValueError(
-                f"…{found[0][-20:]} in {text.split(maxsplit=1)[0]}; allowed: less than 10000 bits, 100000 pages"
-            )
+            raise ValueError(f"…{found[0][-20:]} in {text.split(maxsplit=1)[0]}; allowed: less than 10000 bits")
         if plain.startswith("SG_MUL_VAL_"):
             pages += sum(max(0, int(last) - int(first)) for first, last in re.findall(r"(\d+)\s*-(\d+)", plain))
             if pages > _MOST_PAGES:
