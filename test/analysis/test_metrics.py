@@ -120,25 +120,6 @@ def test_what_is_not_finite_is_refused_with_its_first_place_and_how_many_there_a
                 judge(broken, cosine_map)
 
 
-REST, LEG = 0.25, 1.76 / 0.3 + 1.5
-
-
-def test_a_cycle_is_a_forward_and_a_backward_stroke_and_the_pause_lies_in_the_window_only(make_record):
-    record = make_record()
-    motion = record.motion
-    forward, backward = motion.strokes
-    assert (forward.direction, backward.direction) == ("forward", "backward")
-    # Drawn in by 1 µm, which at 0.2 m/s² takes 3.2 ms.
-    for stroke, begin in ((forward, REST), (backward, 2.0 * REST + LEG)):
-        assert begin < record.time[stroke.start] < begin + 4.5e-3
-        assert begin + LEG - 4.5e-3 < record.time[stroke.stop - 1] < begin + LEG
-    assert motion.window == slice(forward.start, backward.stop)
-    samples = motion.samples()
-    assert samples.size == motion.samples("forward").size + motion.samples("backward").size
-    pause = np.arange(forward.stop, backward.start)
-    assert pause.size > 0.24 / 5e-4 and not np.isin(pause, samples).any()
-
-
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_jitter_of_the_encoder_makes_no_stroke(make_record, seed):
@@ -147,27 +128,6 @@ def test_a_jitter_of_the_encoder_makes_no_stroke(make_record, seed):
     motion = dataclasses.replace(record, x=record.x + jitter).motion
     assert [stroke.direction for stroke in motion.strokes] == ["forward", "backward"]
     assert motion.window.start == approx(record.motion.window.start, abs=4)
-
-
-def test_lost_samples_do_not_split_a_stroke_and_a_record_that_begins_in_motion_counts_from_its_beginning(make_record):
-    record = make_record()
-
-    def motion(kept):
-        return StrokeRecord(law="x", **{name: values[kept] for name, values in record.columns().items()}).motion
-
-    assert len(motion(np.random.default_rng(2).random(record.time.size) > 0.3).strokes) == 2
-    begun = motion(slice(4000, 10_000))
-    assert begun.window.start <= 1 and begun.window.stop >= 5999
-    assert [stroke.direction for stroke in begun.strokes] == ["forward"] and begun.samples("backward").size == 0
-
-
-def test_a_stage_that_stands_and_two_samples_are_no_motion(make_record):
-    record = make_record()
-    standing = dataclasses.replace(record, x=np.where(np.arange(record.x.size) % 2 == 0, 0.5, 0.5 + 2e-7))
-    two = dict.fromkeys(("time", "x", "y", "r", "current"), np.array([0.0, 1.0]))
-    for refused, words in ((standing, "x stays within 0.0002 mm"), (StrokeRecord(law="x", **two), "2 samples")):
-        with pytest.raises(MetricsError, match=words):
-            _ = refused.motion
 
 
 RATE = 2000.0

@@ -20,6 +20,7 @@ from straightcomp_ros.analysis.record import (
 
 T = 1e-3
 OTHER = {"forward": "backward", "backward": "forward"}
+THIRD = np.flatnonzero(np.random.default_rng(2).random(1100) < 0.3)
 
 
 def there_and_back(samples=400, way=0.04, rest=100):
@@ -36,7 +37,7 @@ def found(time, x):
 
 
 @pytest.mark.parametrize("jump", [0.0, 2.5e-3, -0.3])
-@pytest.mark.parametrize("lost", [(), (40, 41), (150, 152, 153, 154, 420), (298, 299)])
+@pytest.mark.parametrize("lost", [(), (40, 41), (150, 152, 153, 154, 420), (298, 299), THIRD])
 def test_strokes_and_jumps_are_the_same_from_another_zero_mirrored_and_backwards_in_time(jump, lost):
     x = there_and_back()
     x[300:] += jump
@@ -51,7 +52,12 @@ def test_strokes_and_jumps_are_the_same_from_another_zero_mirrored_and_backwards
         for (start, stop, _), (begin, end) in zip(strokes, ((0.0, 0.04), (0.04, 0.02)), strict=True):
             assert (abs(x[[start - 1, start]] - begin) > 1e-6).tolist() == [False, True]
             assert (abs(x[[stop - 1, stop]] - end) > 1e-6).tolist() == [True, False]
-    assert motion_of(time, x).window == slice(strokes[0][0], strokes[-1][1])
+    motion = motion_of(time, x)
+    assert motion.window == slice(strokes[0][0], strokes[-1][1])
+    # Without the pause between them.
+    for one in (None, *OTHER):
+        within = [range(start, stop) for start, stop, way in strokes if one in (None, way)]
+        assert motion.samples(one).tolist() == [at for samples in within for at in samples]
     assert found(time + 7.0, x - 3.0) == (strokes, jumps)
     mirrored = [(start, stop, OTHER[way]) for start, stop, way in strokes]
     assert found(time, -x) == (mirrored, jumps)
@@ -66,12 +72,12 @@ def test_a_jump_is_more_than_the_way_that_any_motor_makes_in_a_period_however_lo
             assert len(strokes_and_jumps(period * np.arange(60), x)[1]) == jumps
 
 
-def test_three_samples_may_be_a_motion_and_two_are_none():
+def test_four_samples_may_be_a_motion_that_has_begun_before_and_two_or_a_stage_that_stands_are_none():
     time = np.arange(4) * 0.1
-    assert motion_of(time, 0.01 * np.arange(4)).strokes
-    for count, words in ((2, "2 samples"), (3, "does not move")):
+    assert motion_of(time, 0.01 * np.arange(4)).strokes == (Stroke(1, 3, "forward"),)
+    for count, words in ((2, "2 samples"), (3, r"does not move.*x stays within 0\.0002 mm")):
         with pytest.raises(MetricsError, match=words):
-            motion_of(time[:count], np.zeros(count))
+            motion_of(time[:count], 0.5 + 2e-7 * (np.arange(count) % 2))
 
 
 def test_the_speed_at_the_end_is_that_of_a_parabola_and_is_known_from_the_samples_of_20_ms_on():
