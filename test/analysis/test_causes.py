@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import rayleigh
-from surveys import one_run
+from surveys import GUIDE, one_run
 
 from straightcomp_ros.analysis import causes
 from straightcomp_ros.analysis.causes import (
@@ -172,11 +172,16 @@ def test_stick_slip_is_that_of_a_loop_over_velocities_of_two_milliseconds_or_a_s
 
 
 @pytest.mark.parametrize(
-    ("friction", "drag", "found"),
-    [(0.03, 0.05, 0.05), (-0.03, -0.05, 0.05), (0.0, 0.05, 0.05), (0.06, 0.05, 0.0), (0.0, 0.0, 0.0)],
+    ("friction", "drag", "waves", "found"),
+    [
+        *((0.03, 0.05, 3.0, 0.05), (-0.03, -0.05, 3.0, 0.05), (0.0, 0.05, 3.0, 0.05), (0.0, 0.05, 1.0, 0.05)),
+        *((0.06, 0.05, 3.0, 0.0), (0.0, 0.0, 3.0, 0.0)),
+        # The platform moves one way with the stage.
+        *((0.0, 0.05, 0.25, 0.0), (0.0, 0.05, -0.25, 0.0)),
+    ],
 )
-def test_drag_is_told_from_friction_an_offset_and_a_spring(friction, drag, found):
-    r, ways = 10e-6 * np.sin(6.0 * np.pi * THERE_AND_BACK), np.where(TIME < 4.0, 1.0, -1.0)
+def test_drag_is_told_from_friction_an_offset_and_a_spring(friction, drag, waves, found):
+    r, ways = 10e-6 * np.sin(2.0 * np.pi * waves * THERE_AND_BACK), np.where(TIME < 4.0, 1.0, -1.0)
     error = np.where(np.isin(np.arange(TIME.size) % 8000, range(100)), 2e-6, 1e-9)
     current = 0.2 + 500.0 * r + friction * np.sign(np.gradient(r)) + drag * ways
     run = {"r": r, "x": THERE_AND_BACK, "y": r, "current": current}
@@ -215,22 +220,33 @@ def test_an_error_of_few_waves_is_the_places_if_the_way_back_has_it_with_either_
     assert ("same at each place" in of_error(run)) == found
 
 
+def map_of(deviation, step):
+    x = np.arange(0.0, 1.7601, step)
+    return StraightnessMap(one_run(x, deviation(x)), MapParameters(max_gap=0.2, min_points=5, smooth="none"))
+
+
 @pytest.mark.parametrize("line", [0.0, 1.0])
-def test_why_a_map_does_not_fit_is_the_same_beside_any_straight_line(line):
-    x = np.linspace(0.0, 1.76, 2000)
+def test_a_map_that_does_not_fit_its_guide_is_explained_by_what_was_done_to_it_beside_any_straight_line(line):
+    true, x, random = GUIDE.deviations, np.linspace(0.02, 1.74, 2000), np.random.default_rng(1)
     added = line * (3e-6 - 40e-6 * x)
-    waves, points = 2e-6 * np.sin(2.0 * np.pi * 3.7 * x / 1.76), np.linspace(0.0, 1.76, 17)
-    flat = StraightnessMap(
-        one_run(points, 1e-9 * np.cos(points)), MapParameters(max_gap=0.2, min_points=5, smooth="none")
-    )
-    between = 2e-6 * np.sin(2.0 * np.pi * x / 0.11 - 0.5 * np.pi)
-    assert "110 mm apart: survey more points" in of_map(x, between + added, flat.deviations, flat)
-    assert "use a survey of this guide" in of_map(x, waves + added, flat.deviations, flat)
-    bow = 2e-6 * ((x - 0.88) / 0.88) ** 2
-    assert "bowed by 2 µm" in of_map(x, bow + added, flat.deviations, flat)
-    assert "multiplied by 1.5:" in of_map(
-        x, 0.5 * waves + added, lambda at: 2e-6 * np.sin(2.0 * np.pi * 3.7 * at / 1.76)
-    )
+    surveys = {
+        "shift its x by -3 mm": lambda at: true(at - 3e-3),
+        "opposite sign": lambda at: -true(at),
+        "multiplied by 2:": lambda at: 0.5 * true(at),
+        "bowed by 2 µm": lambda at: true(at) + 2e-6 * ((at - 0.88) / 0.86) ** 2,
+        "use a survey of this guide": lambda at: 9e-6 * np.sin(2.0 * np.pi * 3.3 * at / 1.76 + 1.0),
+    }
+    for said, deviation in surveys.items():
+        found = map_of(deviation, 0.01)
+        for known in (found, None):
+            assert said in of_map(x, true(x) - found.deviations(x) + added, found.deviations, known), said
+    noisy = map_of(lambda at: true(at) + random.normal(0.0, 0.5e-6, at.size), 0.01)
+    words = of_map(x, true(x) - noisy.deviations(x), noisy.deviations, noisy)
+    assert "no run was repeated: repeat its runs" in words
+    flat, bends = map_of(lambda at: 1e-9 * np.cos(at), 0.11), map_of(true, 0.11)
+    to_one_side = 1e-6 * (1.0 - np.cos(2.0 * np.pi * x / 0.11))
+    for sparse, left in ((flat, to_one_side), (bends, true(x) - bends.deviations(x))):
+        assert "110 mm apart: survey more points" in of_map(x, left + added, sparse.deviations, sparse)
 
 
 @pytest.mark.parametrize(("begin", "friction"), [(0.0, True), (-0.1, False)])
