@@ -3,7 +3,7 @@
 import pytest
 
 from scripts.stage_files import STAGES
-from straightcomp_ros.doctor.stage_findings import stage_findings
+from straightcomp_ros.doctor.stage_findings import board_findings, stage_findings
 from straightcomp_ros.hardware.can.can_parameters import shipped_wire
 from straightcomp_ros.parameters.declaration import ParameterError, to_mapping
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -17,26 +17,32 @@ OWN_BUS = {"driver": {"hardware": "can"}}
 FOREIGN = str(share_path("config/board_motorola.yaml"))
 
 
-@pytest.fixture
-def check(verb, tmp_path):
-    """``check(path, node={parameter: value})``: findings of the wire, or of ``named``, in a stage file with other
-    parameters."""
-
-    def run(path, named="wire", **changes):
-        values = shipped_parameters(stage=path)
-        for node, changed in changes.items():
-            values[node] |= changed
-        file = tmp_path / "stage.yaml"
-        file.write_text(as_parameter_file(values))
-        found = verb("stage", "check", file, "--json").json["checks"]
-        return [one for one in found if one["name"].startswith(named)]
-
-    return run
+def values_of(path, **changes):
+    """The parameters of a stage file with others, ``node={parameter: value}``."""
+    values = shipped_parameters(stage=path)
+    for node, changed in changes.items():
+        values[node] |= changed
+    return values
 
 
-def test_the_packages_own_frames_fit_its_own_stage(check):
-    assert check(OWN) == []
-    found = check(OWN, **OWN_BUS)
+def findings(path, **changes):
+    """As `straightcomp stage check` finds them in a stage file with other parameters."""
+    nodes = ("controller", "feedforward", "driver")
+    controller, feedforward, driver = (node_parameters(node, values_of(path, **changes)) for node in nodes)
+    yield from stage_findings(controller, feedforward.feedforward)
+    yield from board_findings(driver)
+
+
+def check(path, named, **changes):
+    """Those whose names begin so."""
+    return [one for one in findings(path, **changes) if one.name.startswith(named)]
+
+
+def test_the_packages_own_frames_fit_its_own_stage(verb, tmp_path):
+    assert check(OWN, "wire") == []
+    (tmp_path / "stage.yaml").write_text(as_parameter_file(values_of(OWN, **OWN_BUS)))
+    checks = verb("stage", "check", tmp_path / "stage.yaml", "--json").json["checks"]
+    found = [one for one in checks if one["name"].startswith("wire")]
     assert {one["state"] for one in found} == {"ok"} and "config/straightcomp.dbc" in found[0]["detail"]
 
 
@@ -107,13 +113,12 @@ CERTAIN = {"uncertainty__friction": 1.3}
         ("stiction", "fail", sticky(0.0, friction__static=0.5, **STIFF), "the platform will hunt"),
     ],
 )
-def test_what_does_not_fit_together_is_found_with_a_remedy(check, name, state, changes, words):
+def test_what_does_not_fit_together_is_found_with_a_remedy(name, state, changes, words):
     foreign = name.startswith("wire") and "hardware" not in changes.get("driver", {})
-    found = check(FOREIGN if foreign else OWN, name, **changes)
-    (finding,) = (one for one in found if one["name"] == name)
-    assert finding["state"] == state and words in f"{finding['detail']} {finding['remedy']}"
-    assert state == "ok" or finding["remedy"] or name == "survey"
-    assert state == "ok" or name != "stiction" or "friction" in finding["remedy"]
+    (finding,) = (one for one in findings(FOREIGN if foreign else OWN, **changes) if one.name == name)
+    assert finding.state == state and words in f"{finding.detail} {finding.remedy}"
+    assert state == "ok" or finding.remedy or name == "survey"
+    assert state == "ok" or name != "stiction" or "friction" in finding.remedy
 
 
 @pytest.mark.parametrize(
@@ -124,15 +129,15 @@ def test_what_does_not_fit_together_is_found_with_a_remedy(check, name, state, c
     ],
 )
 def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyond_the_encoder(
-    check, tmp_path, spacing, noise, count, state
+    tmp_path, spacing, noise, count, state
 ):
     survey = surveyed(spacing, noise)
     write_survey(tmp_path / "survey.csv", survey)
     facts = {"guide.file": str(tmp_path / "survey.csv"), "encoder.y_resolution": count}
     (finding,) = check(OWN, "survey", stage=facts)
-    assert finding["state"] == state and str(mapped(survey).noise) in finding["detail"]
+    assert finding.state == state and str(mapped(survey).noise) in finding.detail
     # Where no noise shows, more runs are not asked for.
-    assert state == "ok" or "shows no noise" not in finding["detail"]
+    assert state == "ok" or "shows no noise" not in finding.detail
 
 
 @pytest.mark.parametrize(
@@ -144,16 +149,15 @@ def test_the_finding_about_the_survey_says_what_its_noise_leaves_and_warns_beyon
         ("index 3", "", "ok", "does not say from what the machine's is"),
     ],
 )
-def test_what_x_is_counted_from_is_agreed_only_where_both_say_it(check, tmp_path, survey, machine, state, words):
+def test_what_x_is_counted_from_is_agreed_only_where_both_say_it(tmp_path, survey, machine, state, words):
     write_survey(tmp_path / "survey.csv", surveyed(1e-3, 2e-7), [f"encoder reference: {survey}"] if survey else [])
     facts = {"guide.file": str(tmp_path / "survey.csv"), "guide.reference": machine}
-    found = check(OWN, "reference", stage=facts)
-    (finding,) = (one for one in found if "counted" in one["detail"])
-    assert finding["state"] == state and words in finding["detail"]
+    (finding,) = (one for one in check(OWN, "reference", stage=facts) if "counted" in one.detail)
+    assert finding.state == state and words in finding.detail
 
 
-def test_protection_that_is_missing_is_found(check):
-    missing = [one["detail"] for one in check(FOREIGN) if one["name"] == "wire protection"]
+def test_protection_that_is_missing_is_found():
+    missing = [one.detail for one in check(FOREIGN, "wire protection")]
     assert len(missing) == 3 and "counts to 256 only" in missing[0]
 
 
@@ -173,14 +177,14 @@ def test_protection_that_is_missing_is_found(check):
     ],
 )
 def test_an_encoder_whose_counter_wraps_fits_a_travel_within_its_turn_or_a_board_that_says_it_is_referenced(
-    check, tmp_path, signal, motion, role, state, words
+    tmp_path, signal, motion, role, state, words
 ):
     text = share_path("config/straightcomp.dbc").read_text()
     (tmp_path / "board.dbc").write_text(text.replace("18|26@1- (1E-007,0) [-3.3554431|3.3554431]", f"{signal} [0|0]"))
     wire = to_mapping(shipped_wire(True)) | {"x_wraps": True, "referenced.signal": role}
     wire = {f"can.wire.{name}": value for name, value in wire.items()}
     (finding,) = check(OWN, "wire x", stage=motion, driver={**wire, "can.dbc": str(tmp_path / "board.dbc")})
-    assert finding["state"] == state and words in f"{finding['detail']} {finding['remedy']}"
+    assert finding.state == state and words in f"{finding.detail} {finding.remedy}"
 
 
 PATHS = sorted(STAGES.glob("*.yaml"))
@@ -194,16 +198,12 @@ NO_UNIT = {"motion.steps", "drive.dac_bits"}
 
 def found(path, **facts):
     """Findings that are not ok, by name and state, of a stage file with other facts; one where it is refused."""
-    values = shipped_parameters(stage=path)
-    values["stage"] |= facts
     try:
-        controller, feedforward = (node_parameters(node, values) for node in ("controller", "feedforward"))
+        for one in findings(path, stage=facts):
+            if one.state != "ok":
+                yield one.name, one.state
     except ParameterError:
         yield "refused", "fail"
-        return
-    for one in stage_findings(controller, feedforward.feedforward):
-        if one.state != "ok":
-            yield one.name, one.state
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
@@ -217,9 +217,8 @@ def test_every_fact_of_a_sound_stage_is_usual(path):
     ids=["all facts", *(path.stem for path in PATHS)],
 )
 def test_a_factor_of_1000_in_any_fact_is_refused_or_found(path, facts):
-    values = shipped_parameters(stage=path)
-    values["stage"] |= facts
-    stage, sound = node_parameters("controller", values).stage, set(found(path, **facts))
+    stage = node_parameters("controller", values_of(path, stage=facts)).stage
+    sound = set(found(path, **facts))
     numbers = {
         name: value
         for name, value in to_mapping(stage).items()
@@ -245,14 +244,14 @@ FLEXURE |= {"platform.mass": 5.0}
         (str(STAGES / "slow_amplifier.yaml"), {}, True, "straightcomp design"),
     ],
 )
-def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(check, path, facts, corner, remedy):
-    (finding,) = check(path, named="loop", stage=facts)
-    assert finding["state"] == ("warn" if corner else "ok")
-    assert ("mass ×" in finding["detail"]) == corner and remedy in finding["remedy"]
-    assert not facts or "design" not in finding["remedy"]
+def test_a_loop_that_the_uncertainty_makes_unstable_has_a_remedy_that_helps(path, facts, corner, remedy):
+    (finding,) = check(path, "loop", stage=facts)
+    assert finding.state == ("warn" if corner else "ok")
+    assert ("mass ×" in finding.detail) == corner and remedy in finding.remedy
+    assert not facts or "design" not in finding.remedy
     # Without a law there is no loop.
-    (finding,) = check(path, named="loop", stage=facts, controller={"control.law": "open_loop"})
-    assert finding["state"] == "ok" and "stable" not in finding["detail"]
+    (finding,) = check(path, "loop", stage=facts, controller={"control.law": "open_loop"})
+    assert finding.state == "ok" and "stable" not in finding.detail
 
 
 def test_a_count_of_x_is_as_usual_as_the_same_count_of_y_and_one_far_from_a_wrong_unit_as_any_of_y():

@@ -20,14 +20,15 @@ def bend(x):
 
 @pytest.fixture
 def survey(tmp_path):
-    """``survey(start, stop)`` is the file of a survey of that guide; with ``back`` forth and back in one column."""
+    """``survey(start, stop)`` is the file of a survey of that guide; with ``back`` forth and back in one column, in
+    another ``unit`` in µm."""
 
-    def surveyed(start, stop, *, back=False):
-        x = np.arange(start, stop + 1e-9, 10.0)
+    def surveyed(start, stop, step=10.0, *, back=False, unit=1.0):
+        x = np.arange(start, stop + 1e-9, step)
         x = np.concatenate([x, x[::-1]]) if back else x
-        read = bend(x) + 0.02 * np.random.default_rng(4).standard_normal(x.size)
+        read = (bend(x) + 0.02 * np.random.default_rng(4).standard_normal(x.size)) / unit
         file = tmp_path / "measured.csv"
-        np.savetxt(file, np.column_stack([x, read]), "%.4f", ",", header="x_mm,deviation_um", comments="")
+        np.savetxt(file, np.column_stack([x, read]), "%.6f", ",", header="x_mm,deviation_um", comments="")
         return file
 
     return surveyed
@@ -58,10 +59,8 @@ def test_a_new_stage_has_the_name_that_was_given_however_long(tmp_path, new, nam
     assert shipped_parameters(stage=tmp_path / "one" / "stage.yaml")["stage"]["name"] == name.replace("\\n", "\n")
 
 
-def test_the_survey_of_a_new_stage_may_have_the_gaps_that_are_given(tmp_path, new):
-    file = tmp_path / "sparse.csv"
-    x = np.arange(0.0, 1801.0, 60.0)
-    np.savetxt(file, np.column_stack([x, bend(x)]), "%.4f", ",", header="x_mm,deviation_um", comments="")
+def test_the_survey_of_a_new_stage_may_have_the_gaps_that_are_given(tmp_path, new, survey):
+    file = survey(0.0, 1800.0, step=60.0)
     refused = new(tmp_path / "one", "--survey", file)
     assert refused.code == 2 and "allowed: <= 50 mm" in refused.err
     assert new(tmp_path / "one", "--survey", file, "--set", "stage.guide.max_gap=0.1").code == 0
@@ -182,10 +181,7 @@ def test_a_survey_that_is_nowhere_is_refused_with_the_folder_of_the_stage_file(t
 
 
 def test_a_survey_whose_unit_is_wrong_is_found(tmp_path, new, survey, verb):
-    text = survey(100, 700).read_text().splitlines()
-    wrong = [",".join((x, f"{float(y) * 1e-2:.9f}")) for x, y in (line.split(",") for line in text[1:])]
-    (tmp_path / "measured.csv").write_text("\n".join([text[0], *wrong]))
-    assert new(tmp_path / "one", "--survey", tmp_path / "measured.csv").code == 0
+    assert new(tmp_path / "one", "--survey", survey(100, 700, unit=100.0)).code == 0
     found = verb("stage", "check", tmp_path / "one" / "stage.yaml", "--json").json
     (check,) = (one for one in found["checks"] if one["name"] == "correction")
     assert check["state"] == "warn" and "unit of the survey" in check["remedy"]
