@@ -139,21 +139,15 @@ def test_streams_that_belong_to_different_runs_are_refused(tmp_path):
         evaluate_bag(recorded(tmp_path / "bag", left_out=left_out))
 
 
-@pytest.mark.parametrize("in_each", [False, True], ids=["now", "in 0.1"])
-def test_faults_are_those_that_nodes_in_the_namespace_of_the_encoder_report(tmp_path, in_each):
+def test_faults_are_those_that_nodes_in_the_namespace_of_the_encoder_report(tmp_path):
     samples = [(f"/line_3{topic}", *message) for topic, *message in packed(rows_of())]
     end, reports = START_NS + COUNT * PERIOD_NS, []
     for line in ("line_3", "line_4"):
         data = report(f"{line}/driver", end, error=f"tripped: by {line}/driver")
-        reports.append((f"/{line}{DIAGNOSTICS}" if in_each else DIAGNOSTICS, REPORT, data, end, end))
+        reports.append((DIAGNOSTICS, REPORT, data, end, end))
     found = evaluate_bag(bag_of(tmp_path / "bag", samples + reports))
     assert [fault.reason for fault in found.faults] == ["by line_3/driver"]
     assert found.reports == read_reports(tmp_path / "bag")
-
-
-def in_namespaces(path, *stages):
-    """A bag of stages, each of a namespace and its rows."""
-    return bag_of(path, [(f"{space}{topic}", *one) for space, rows in stages for topic, *one in packed(rows)])
 
 
 @pytest.mark.parametrize(("first", "remap"), [("", {}), ("/a", {ENCODER.topic: "/a/encoder"})])
@@ -162,26 +156,13 @@ def test_of_two_stages_in_a_bag_that_of_the_encoder_is_judged_by_its_own_streams
     sensor = [(DISPLACEMENT, START_NS + number * PERIOD_NS, (1e-6 * number,)) for number in range(COUNT)]
     other = [(stream, stamp + later, numbers) for stream, stamp, numbers in [*rows_of(), *sensor]]
     both = ((first, rows_of(without=(TRUTH, DRIVER_STATE))), ("/b", other))
-    bag = in_namespaces(tmp_path / "bag", *both)
+    bag = bag_of(tmp_path / "bag", [(f"{space}{topic}", *one) for space, rows in both for topic, *one in packed(rows)])
     found = evaluate_bag(bag, remap)
     assert (found.begin_ns, len(found.record.x)) == (START_NS + 10 * PERIOD_NS, 30)
     assert (found.record.true_x, found.guide, len(found.latency)) == (None, None, 0)
     found = evaluate_bag(bag, {ENCODER.topic: "/b/encoder"})
     assert (found.begin_ns, len(found.record.true_x)) == (START_NS + 10 * PERIOD_NS + later, 30)
     assert found.guide is not None and len(found.latency) == COUNT // 2
-
-
-def test_a_stage_without_commands_is_not_judged_by_those_of_another(tmp_path):
-    bag = in_namespaces(tmp_path / "bag", ("/a", rows_of(without=(REFERENCE, COMMAND, TRUTH))), ("/b", rows_of()))
-    with pytest.raises(BagError, match="has no messages on 'reference'"):
-        evaluate_bag(bag, {ENCODER.topic: "/a/encoder"})
-
-
-def test_an_encoder_alone_in_its_namespace_is_judged_with_all_the_streams_of_the_stage(tmp_path):
-    filtered = rows_of(without=(REFERENCE, COMMAND, DRIVER_STATE, TRUTH))
-    bag = in_namespaces(tmp_path / "bag", ("", rows_of()), ("/filtered", filtered))
-    found = evaluate_bag(bag, {ENCODER.topic: "/filtered/encoder"})
-    assert len(found.record.true_x) == 30 and len(found.latency) == COUNT // 2
 
 
 PERIOD = PERIOD_NS * 1e-9
