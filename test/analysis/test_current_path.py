@@ -42,16 +42,28 @@ def recorded(delays, rate=RATE, drive=DRIVE):
 
 
 LATE = np.random.default_rng(5).choice(20_000, 40, replace=False)
+COMMANDED = 0.05 * np.random.default_rng(1).standard_normal(4000)
+LOST = np.append(5.0, [DRIVE.converted(one) for one in COMMANDED[1:]])
+"""The first command stands for those before the stretch too."""
 
 
 @pytest.mark.parametrize("hertz", [250.0, 1000.0])
-@pytest.mark.parametrize(("samples", "late"), [*((one, []) for one in (0.34, 0.95, 1.0, 1.05, 1.9)), (1.0, LATE)])
-def test_bandwidth_and_delay_are_found_on_both_sides_of_the_next_sample_whatever_a_few_late_commands(
-    samples, late, hertz
-):
+@pytest.mark.parametrize(
+    ("samples", "late", "described", "command"),
+    [
+        *((one, [], {}, None) for one in (0.34, 0.95, 1.0, 1.05, 1.9)),
+        pytest.param(1.0, LATE, {}, None, id="a few late commands"),
+        pytest.param(4.5, [], {"delay": 2.5}, None, id="two samples more than described"),
+        pytest.param(0.4, [], {"dac_bits": 6}, COMMANDED, id="a coarse converter makes something else of commands"),
+        pytest.param(1.0, [], {}, LOST, id="one command that never came"),
+    ],
+)
+def test_bandwidth_and_delay_are_found_on_both_sides_of_the_next_sample(samples, late, described, command, hertz):
+    drive = dataclasses.replace(DRIVE, **described)
     delays = np.full(20_000 if len(late) else 4000, samples * PERIOD)
     delays[late] = 1.9 * PERIOD
-    path = current_path(recorded(delays, rate=2.0 * math.pi * hertz), DRIVE)
+    run = recorded(delays, 2.0 * math.pi * hertz, drive)
+    path = current_path(run if command is None else dataclasses.replace(run, command=command), drive)
     assert path.rate_found
     assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-3 if len(late) else 1e-6)
     assert path.delay == pytest.approx(samples * PERIOD, abs=1e-7)
@@ -172,21 +184,6 @@ def test_the_arrival_of_each_command_is_found_to_a_nanosecond_with_the_right_ban
     assert path.before[inside] == pytest.approx(run.command[inside - 1])
 
 
-def test_delays_of_up_to_two_samples_more_than_described_are_found():
-    described = dataclasses.replace(DRIVE, delay=2.5)
-    path = current_path(recorded(np.full(4000, 4.5 * PERIOD)), described)
-    assert path.rate_found and path.delay == pytest.approx(4.5 * PERIOD, abs=1e-7)
-
-
-def test_the_amplifier_follows_what_the_converter_makes_of_the_recorded_commands():
-    coarse = dataclasses.replace(DRIVE, dac_bits=6)
-    run = recorded(np.full(4000, 0.4 * PERIOD), drive=coarse)
-    commanded = 0.05 * np.random.default_rng(1).standard_normal(4000)
-    path = current_path(dataclasses.replace(run, command=commanded), coarse)
-    assert (path.rate, path.delay) == pytest.approx((RATE, 0.4 * PERIOD), rel=1e-6)
-    assert path.after[5:-5] == pytest.approx(run.command[5:-5], abs=1e-12)
-
-
 def test_the_described_bandwidth_holds_where_the_record_gives_none():
     still = Recording(500_000, *np.zeros((4, 4000)), 4000)
     path = current_path(still, dataclasses.replace(DRIVE, bandwidth=300.0))
@@ -241,12 +238,3 @@ def test_a_current_in_a_message_of_its_own_belongs_to_the_sample_before_whether_
     recording = read_recording(bag)
     (first,) = np.flatnonzero(recording.y[0] == MOVING)
     assert (recording.current - np.arange(first, first + recording.y.size) == lag).all()
-
-
-def test_one_command_that_never_came_does_not_cost_the_path_of_a_quiet_current():
-    quiet = recorded(np.full(4000, PERIOD))
-    command = quiet.command.copy()
-    # The first one stands for those before the stretch too.
-    command[0] = 5.0
-    path = current_path(dataclasses.replace(quiet, command=command), DRIVE)
-    assert path.rate_found and path.delay == pytest.approx(PERIOD, abs=1e-7)
