@@ -146,6 +146,7 @@ def test_the_picture_of_a_run_shows_the_record_in_its_units(make_record, cosine_
     assert x_mm == pytest.approx((record.true_x if truth else record.x)[moving] * 1e3)
     assert np.ptp(before) == pytest.approx(metrics.uncompensated_pp * 1e6)
     assert np.ptp(compensated) == pytest.approx(metrics.residual_pp * 1e6)
+    # A legend hides no curve, and takes no third of a panel.
     for axes in drawn[0].axes:
         (bottom, top), highest = axes.get_ylim(), max(np.max(values) for _, values in lines(axes))
         assert 0.2 < (top - highest) / (top - bottom) < 0.3

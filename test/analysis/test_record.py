@@ -130,30 +130,16 @@ def test_a_way_is_whole_from_nine_tenths_of_the_longest_on_also_in_parts_and_whe
     part, is_whole
 ):
     x = np.array([0.0, 0.4, 0.4, 1.0, 1.0, 1.0 - part, 1.0 - part, 1.0])
-    first, second, back, again = (
-        Stroke(2 * k, 2 * k + 2, way) for k, way in enumerate((*2 * ["forward"], "backward", "forward"))
-    )
-    for zero in (-1.0, 0.0, 0.5, 9.0):
-        for mirrored in (1.0, -1.0):
-            ways = [
-                replace(one, direction=OTHER[one.direction] if mirrored < 0.0 else one.direction)
-                for one in (first, second, back, again)
-            ]
-            found = whole_ways(ways, mirrored * (x - zero))
-            expected = (
-                ([ways[:2], *([one] for one in ways[2:])], [])
-                if is_whole
-                else ([ways[:2]], [[one] for one in ways[2:]])
-            )
-            assert found == expected
-    # The stage came back while nothing was recorded, by as much as the shortest stroke.
-    for by, apart in ((0.04e-3, False), (0.06e-3, True)):
-        for mirrored in (1.0, -1.0):
-            ways = [
-                replace(one, direction=OTHER[one.direction] if mirrored < 0.0 else one.direction)
-                for one in (first, second)
-            ]
-            parts, others = whole_ways(ways, mirrored * np.array([0.0, 1.0, 1.0 - by, 2.0]))
+    directions = ("forward", "forward", "backward", "forward")
+    strokes = [Stroke(2 * k, 2 * k + 2, way) for k, way in enumerate(directions)]
+    mirrored = [replace(one, direction=OTHER[one.direction]) for one in strokes]
+    for sign, ways in ((1.0, strokes), (-1.0, mirrored)):
+        long, others = [ways[:2]], [[one] for one in ways[2:]]
+        for zero in (-1.0, 0.0, 0.5, 9.0):
+            assert whole_ways(ways, sign * (x - zero)) == ((long + others, []) if is_whole else (long, others))
+        # The stage came back while nothing was recorded, by as much as the shortest stroke.
+        for by, apart in ((0.04e-3, False), (0.06e-3, True)):
+            parts, others = whole_ways(ways[:2], sign * np.array([0.0, 1.0, 1.0 - by, 2.0]))
             assert (len(parts), others) == (1 + apart, [])
 
 
