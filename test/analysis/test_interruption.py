@@ -60,19 +60,17 @@ def test_no_pause_and_no_jump_of_the_clock_is_played_longer_than_a_second_and_no
     assert played((np.array(stamps) * S).astype(np.int64)) / S == pytest.approx(played_s)
 
 
-def when(condition, change):
-    """``change`` of the samples for which ``condition(topic, stamp)`` holds."""
-    return lambda topic, stamp, numbers: change(topic, stamp, numbers) if condition(topic, stamp) else (stamp, numbers)
+def unchanged(topic, stamp, numbers):
+    return stamp, numbers
+
+
+def when(condition, change=lambda *_: None, otherwise=unchanged):
+    """``change`` of the samples for which ``condition(topic, stamp)`` holds: none of them is left without."""
+    return lambda topic, stamp, numbers: (change if condition(topic, stamp) else otherwise)(topic, stamp, numbers)
 
 
 def ends(law_s, others_s):
-    return when(lambda topic, stamp: stamp >= (law_s if topic in LAW else others_s) * S, lambda *_: None)
-
-
-def without(missing, since, until, change):
-    """``change`` of what is left without the messages on one topic in these times, in s."""
-    left_out = lambda topic, stamp: topic == missing and since * S <= stamp < until * S  # noqa: E731
-    return lambda topic, stamp, numbers: None if left_out(topic, stamp) else change(topic, stamp, numbers)
+    return when(lambda topic, stamp: stamp >= (law_s if topic in LAW else others_s) * S)
 
 
 def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, judged):
@@ -84,9 +82,8 @@ def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_coun
     assert rows[-1].verdict == "interrupted" and {row.verdict for row in rows[:-1]} <= {"in_order"}
 
 
-def thinned(stream, every):
-    """One of so many messages of a stream."""
-    return when(lambda topic, stamp: topic == stream.topic and round(stamp / S / T) % every, lambda *_: None)
+def x_jumps(topic, stamp, numbers):
+    return stamp, [numbers[0] + 0.1, *numbers[1:]]
 
 
 def begins_at_zero(topic, stamp, numbers):
@@ -101,25 +98,21 @@ def jump_from(at, by, log_too=False):
     return change
 
 
-X_JUMPS = when(lambda topic, stamp: topic == ENCODER.topic and stamp >= S, lambda _, t, n: (t, [n[0] + 0.1, *n[1:]]))
-NIGHT = 8 * 3600.0
-
-
 @pytest.mark.parametrize(
     ("change", "verdict"),
     [
         (when(lambda topic, stamp: S <= stamp < 1.05 * S, off), "interrupted"),
         (when(lambda _, stamp: stamp < 0.1 * S, off), "in_order"),
-        (X_JUMPS, "interrupted"),
+        (when(lambda topic, stamp: topic == ENCODER.topic and stamp >= S, x_jumps), "interrupted"),
         (begins_at_zero, "clock_jumped"),
         (jump_from(FORWARD, 0.05, log_too=True), "clock_jumped"),
         # At rest: set back so far, no stroke may be left of what was put in another order.
         (jump_from(2.25, -1.0), ""),
         # A pause of the recording.
-        (jump_from(2.25, NIGHT, log_too=True), "in_order"),
+        (jump_from(2.25, 8 * 3600.0, log_too=True), "in_order"),
         # Less than half of the travel in the record: of bursts, or of a stream that someone throttled.
-        (when(lambda _, stamp: stamp % (0.95 * S) >= 0.06 * S, lambda *_: None), "starved"),
-        (thinned(REFERENCE, 20), "starved"),
+        (when(lambda _, stamp: stamp % (0.95 * S) >= 0.06 * S), "starved"),
+        (when(lambda topic, stamp: topic == REFERENCE.topic and round(stamp / S / T) % 20), "starved"),
         # Stopped in motion, streams end some milliseconds apart.
         (ends(0.99, 1.0), "in_order"),
     ],
@@ -139,9 +132,10 @@ def bulge(topic, stamp, numbers):
 
 
 @pytest.mark.parametrize("missing", [REFERENCE.topic, COMMAND.topic, *nightly([TRUTH.topic])])
-@pytest.mark.parametrize(("change", "verdict"), [(bulge, "starved"), (lambda _, *sample: sample, "in_order")])
+@pytest.mark.parametrize(("change", "verdict"), [(bulge, "starved"), (unchanged, "in_order")])
 def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, judged, missing, change, verdict):
-    bag = rewritten(SMC, tmp_path / "b", without(missing, 0.9, 1.2, change))
+    lacking = when(lambda topic, stamp: topic == missing and 0.9 * S <= stamp < 1.2 * S, otherwise=change)
+    bag = rewritten(SMC, tmp_path / "b", lacking)
     code, found = judged(bag, limit=5)
     assert (code, found["verdict"]) == (verdict != "in_order", verdict)
     assert {row.verdict for row in rows_of(evaluate_bag(bag), {})} == {verdict, "in_order"}
@@ -149,7 +143,7 @@ def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, judged, m
 
 @pytest.mark.parametrize(("since", "until"), [(0.7, 1.9), *nightly([(1.5, 3.0), (2.2, 3.5)])])
 def test_a_gap_of_the_recording_in_motion_is_a_loss_however_long_it_is(tmp_path, judged, since, until):
-    bag = rewritten(SMC, tmp_path / "b", when(lambda _, stamp: since * S <= stamp < until * S, lambda *_: None))
+    bag = rewritten(SMC, tmp_path / "b", when(lambda _, stamp: since * S <= stamp < until * S))
     code, found = judged(bag)
     assert (code, found["verdict"], found["lost_samples"]) == (1, "interrupted", round((until - since) / T))
     assert found["longest_gap_s"] == pytest.approx(until - since, abs=2 * T) and found["gaps"] == 1
