@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def unchanged(topic, stamp, numbers):
 
 
 def when(condition, change=lambda *_: None, otherwise=unchanged):
-    """``change`` of the samples for which ``condition(topic, stamp)`` holds: none of them is left without."""
+    """``change`` of the samples for which ``condition(topic, stamp)`` holds; by default they are left out."""
     return lambda topic, stamp, numbers: (change if condition(topic, stamp) else otherwise)(topic, stamp, numbers)
 
 
@@ -295,8 +296,7 @@ def test_a_clock_that_is_set_back_by_some_samples_repeats_their_stamps_with_othe
     assert clock_jump(back.taken(np.zeros(5, int))) == ""
     # Nor are single samples that the recording has among later ones.
     late = np.where(np.arange(2000) % 200, 0, 60)
-    log, stamps, columns = vars(jumped(0.0)).values()
-    delayed = StreamColumns(log + late * PERIOD_NS, stamps, columns)
+    delayed = replace(jumped(0.0), log_time=jumped(0.0).log_time + late * PERIOD_NS)
     assert clock_jump(delayed.taken(np.argsort(np.arange(2000) + late))) == ""
 
 
