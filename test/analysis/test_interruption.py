@@ -70,6 +70,10 @@ def when(condition, change=lambda *_: None, otherwise=unchanged):
     return lambda topic, stamp, numbers: (change if condition(topic, stamp) else otherwise)(topic, stamp, numbers)
 
 
+def law_ends_and_the_amplifier(at):
+    return when(lambda _, stamp: stamp >= at * S, when(lambda topic, _: topic in LAW, otherwise=off))
+
+
 def ends(law_s, others_s):
     return when(lambda topic, stamp: stamp >= (law_s if topic in LAW else others_s) * S)
 
@@ -91,6 +95,9 @@ def begins_at_zero(topic, stamp, numbers):
     return (stamp if stamp < 0.01 * S else stamp + 1_790_000_000 * S), numbers, stamp + 1_790_000_000 * S
 
 
+DAY = 86400.0
+
+
 def jump_from(at, by, log_too=False):
     def change(topic, stamp, numbers):
         moved = stamp + round(by * S) if stamp >= at * S else stamp
@@ -107,15 +114,19 @@ def jump_from(at, by, log_too=False):
         (when(lambda topic, stamp: topic == ENCODER.topic and stamp >= S, x_jumps), "interrupted"),
         (begins_at_zero, "clock_jumped"),
         (jump_from(FORWARD, 0.05, log_too=True), "clock_jumped"),
+        *nightly((jump_from(FORWARD, by), "clock_jumped") for by in (-3 * DAY, -0.05, 3600.0)),
+        *nightly((jump_from(FORWARD, by, log_too=True), "clock_jumped") for by in (-1.0, -0.05)),
         # At rest: set back so far, no stroke may be left of what was put in another order.
         (jump_from(2.25, -1.0), ""),
+        *nightly((jump_from(*jump), "") for jump in ((0.01, 1.0), (2.25, DAY))),
         # A pause of the recording.
-        (jump_from(2.25, 8 * 3600.0, log_too=True), "in_order"),
+        (jump_from(2.25, DAY / 3, log_too=True), "in_order"),
         # Less than half of the travel in the record: of bursts, or of a stream that someone throttled.
         (when(lambda _, stamp: stamp % (0.95 * S) >= 0.06 * S), "starved"),
         (when(lambda topic, stamp: topic == REFERENCE.topic and round(stamp / S / T) % 20), "starved"),
         # Stopped in motion, streams end some milliseconds apart.
         (ends(0.99, 1.0), "in_order"),
+        *nightly((law_ends_and_the_amplifier(at), "interrupted") for at in (0.5, 3.0)),
     ],
 )
 def test_what_breaks_a_motion_is_named(tmp_path, judged, change, verdict):
