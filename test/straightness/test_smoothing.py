@@ -25,21 +25,6 @@ TABLE = [("shipped", *each) for each in itertools.product((0.5, 1.0, 2.0, 10.0, 
 TABLE += [("shipped", 5.0, 0.05), ("shipped", 5.0, 0.5), ("ground, 2 um", 0.5, 0.5)]
 
 
-def noise_of(survey):
-    x, values = on_common_grid(survey, 20, 0.05)
-    return point_noise(survey, x, values, measured(survey, x))
-
-
-def test_the_noise_of_a_point_is_that_between_runs_of_a_direction_without_their_drift():
-    for spacing, noise, runs in ((1e-3, 2e-7, 6), (10e-3, 25e-9, 3)):
-        survey = surveyed(spacing, noise, runs=runs, drift=5e-6)
-        # Three runs are two forward and one backward, which is taken to be as noisy.
-        expected = noise * (np.sqrt(1.0 / 6.0) if runs == 6 else np.sqrt(1.0 / 2.0 + 1.0) / 2.0)
-        assert noise_of(survey) == pytest.approx(expected, rel=0.1)
-    survey = surveyed(1e-3, 2e-7, runs=2)
-    assert noise_of(survey) is None
-
-
 @pytest.mark.parametrize("runs", [1, 2])
 def test_without_repeated_runs_the_noise_is_that_of_the_residual_and_the_map_says_so(runs):
     for how in ("auto", "1"):

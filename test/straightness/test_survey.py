@@ -15,8 +15,8 @@ from straightcomp_ros.straightness.survey_runs import cubic_spline, on_common_gr
 POSITIONS_MM = [10 * k for k in range(30)]
 
 
-def _rows(positions=None, prefix="1,forward,"):
-    return [f"{prefix}{x},{(x // 10) % 7}" for x in (POSITIONS_MM if positions is None else positions)]
+def _rows(positions=POSITIONS_MM, prefix="1,forward,"):
+    return [f"{prefix}{x},{(x // 10) % 7}" for x in positions]
 
 
 HEADER = "run,direction,x_mm,deviation_um"
@@ -71,8 +71,13 @@ FINE = list(range(0, 601, 5))
 UNITS = [f"1,forward,{x},{6 + 5 * (x % 20)}" for x in POSITIONS_MM]
 THREE = [f"{x},{x % 30},{x % 30}" for x in range(0, 240, 10)]
 COLUMNS = "x_mm,Run 1 forward (µm),Run 2 forward (µm),Run 3 forward (µm)"
-THERE = [10.0 * number for number in range(15)]
-TURNS = THERE + THERE[-2::-1]
+TURNS = POSITIONS_MM[:15] + POSITIONS_MM[13::-1]
+HOLED = [x for x in POSITIONS_MM if not 100 < x < 200]
+
+
+def with_another(x, at=12, positions=POSITIONS_MM):
+    """The positions, and before the one of number ``at`` this one."""
+    return [*positions[:at], x, *positions[at:]]
 
 
 @pytest.mark.parametrize(
@@ -93,29 +98,21 @@ TURNS = THERE + THERE[-2::-1]
         (HEADER, ["1,up,10,1"], "line 2 'up' forward·or·backward"),
         (HEADER, ["1,forward,10,1,5"], "line 2 5·cells decimal·comma"),
         (HEADER, _rows()[:5], "5·points >=·20"),
-        (
-            HEADER,
-            _rows([*POSITIONS_MM[:12], 95, *POSITIONS_MM[12:]]),
-            "line·14 turns·back:·95·mm·after·110·mm·(line·13)",
-        ),
+        (HEADER, _rows(with_another(95)), "line·14 turns·back:·95·mm·after·110·mm·(line·13)"),
         (HEADER, _rows(TURNS), "line·17 turns·back:·130·mm·after·140·mm·(line·16)"),
-        (HEADER, _rows([*POSITIONS_MM[:12], 110, *POSITIONS_MM[12:]]), "line·14 repeats:·110·mm"),
-        (HEADER, _rows([*POSITIONS_MM[:9:-1], *POSITIONS_MM[10::-1]], "1,backward,"), "line·22 repeats:·100·mm"),
+        (HEADER, _rows(with_another(110)), "line·14 repeats:·110·mm"),
+        (HEADER, _rows(with_another(100, 20, POSITIONS_MM[::-1]), "1,backward,"), "line·22 repeats:·100·mm"),
         (HEADER, _rows(POSITIONS_MM[::-1]), "direction·is·'forward'·but·x·falls"),
-        (HEADER, _rows([x for x in POSITIONS_MM if not 100 < x < 200]), "between·x·=·100·mm·and·200·mm <=·50·mm"),
-        (
-            HEADER,
-            [*_rows(), *_rows([x for x in POSITIONS_MM if not 100 < x < 200], "2,forward,")],
-            "'2' 100·mm·and·200·mm",
-        ),
+        (HEADER, _rows(HOLED), "between·x·=·100·mm·and·200·mm <=·50·mm"),
+        (HEADER, [*_rows(), *_rows(HOLED, "2,forward,")], "'2' 100·mm·and·200·mm"),
         ("run,direction,x_m,deviation_um", UNITS, "is·the·unit·wrong?·It·would·fit·as·x_mm"),
         ("run,direction,x_mm,deviation_mm", UNITS, "is·the·unit·wrong?·It·would·fit·as·deviation_um"),
         (HEADER, [f"1,forward,{x},0" for x in POSITIONS_MM], "extends·over·0·m"),
         # An x that is wrong is no turning point, and a run that is named goes each way once.
-        ("x_mm,deviation_um", _rows([*OUT[:15], 270, *OUT[15:]], ""), "more·than·half·of·x x·turns·back:·270·mm"),
-        ("x_mm,deviation_um", _rows([*OUT[:15], OUT[14], *OUT[15:]], ""), "x·repeats:·280·mm"),
+        ("x_mm,deviation_um", _rows(with_another(270, 15, OUT), ""), "more·than·half·of·x x·turns·back:·270·mm"),
+        ("x_mm,deviation_um", _rows(with_another(280, 15, OUT), ""), "x·repeats:·280·mm"),
         ("x_mm,deviation_um", _rows([*OUT, *BACK[:5]], ""), "x·repeats:·600·mm"),
-        ("direction,x_mm,deviation_um", _rows([*FINE[:70], 300, *FINE[70:]], "fwd,"), "x·turns·back:·300·mm"),
+        ("direction,x_mm,deviation_um", _rows(with_another(300, 70, FINE), "fwd,"), "x·turns·back:·300·mm"),
         ("run,x_mm,deviation_um", _rows([*OUT, *BACK, *OUT], "1,"), "x·repeats:·600·mm"),
         # Other words for directions, and cells that a spreadsheet merges.
         (
@@ -289,13 +286,13 @@ def test_runs_that_take_turns_in_a_file_sorted_by_x_are_known_by_their_column(re
     assert [(run.name, run.direction, run.x.size) for run in runs] == [(*way, len(OUT)) for way in WAYS]
 
 
-def test_a_number_of_cycles_that_changes_from_point_to_point_is_no_run(read):
-    (run,) = read("Cycles,x_mm,deviation_um", *(row for x in OUT for row in _rows([x], f"{3 + x % 40},"))).runs
-    assert run.x.size == len(OUT)
-
-
-def test_a_direction_that_only_a_part_of_x_has_is_none_of_the_runs(read):
-    (run,) = read("Probe,x_mm,deviation_um", *_rows(OUT[:10], "fwd,"), *_rows(OUT[10:], "bwd,")).runs
+@pytest.mark.parametrize(
+    ("name", "cell"), [("Cycles", lambda x: 3 + x % 40), ("Probe", lambda x: ("fwd", "bwd")[x > 190])]
+)
+def test_a_number_that_changes_from_point_to_point_and_a_direction_of_a_part_of_x_are_none_of_the_runs(
+    read, name, cell
+):
+    (run,) = read(f"{name},x_mm,deviation_um", *(row for x in OUT for row in _rows([x], f"{cell(x)},"))).runs
     assert run.x.size == len(OUT)
 
 
@@ -606,12 +603,16 @@ def test_a_run_is_written_as_the_stage_moved(tmp_path):
     np.testing.assert_allclose(x, np.concatenate([GRID, GRID[::-1]]) * 1e3)
 
 
-def test_weights_of_a_splines_values_are_weights_of_its_points_beyond_its_ends_too():
-    random = np.random.default_rng(6)
-    x, at = np.sort(random.uniform(0.0, 1.0, 20)), random.uniform(-0.05, 1.05, 50)
-    weights, values = random.normal(size=(3, 50)), random.normal(size=20)
-    found = point_weights(x, at, weights) @ values
-    np.testing.assert_allclose(found, weights @ cubic_spline(x, values)(at), rtol=1e-7)
+def test_weights_of_a_splines_values_are_those_of_its_points_beyond_its_ends_too_however_many_there_are():
+    random = np.random.default_rng(7)
+    at, weights = np.sort(random.uniform(-0.05, 1.05, 300)), random.normal(size=(5, 300))
+    for count in (4, 5, 20, 60):
+        x = np.sort(random.uniform(0.0, 1.0, count))
+        dense = weights @ cubic_spline(x, np.eye(count))(at)
+        assert point_weights(x, at, weights) == pytest.approx(dense, rel=1e-6, abs=1e-6 * np.abs(dense).max())
+    # A constant is its own spline.
+    of_points = point_weights(np.linspace(0.0, 1.0, 50_000), at.clip(0.0, 1.0), weights)
+    assert of_points.sum(axis=1) == pytest.approx(weights.sum(axis=1))
 
 
 def test_the_grid_keeps_to_what_all_runs_cover():

@@ -10,7 +10,6 @@ from surveys import one_run
 from straightcomp_ros.straightness.guide_map import MapParameters, StraightnessMap, load_map
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
 from straightcomp_ros.straightness.survey_header import SurveyError
-from straightcomp_ros.straightness.survey_runs import cubic_spline, point_weights
 from straightcomp_ros.tuning.survey.alignment import align
 from straightcomp_ros.tuning.survey.survey_check import survey_check
 
@@ -82,18 +81,6 @@ def test_each_interval_holds_the_truth_in_95_percent_of_draws_and_the_sign_is_ne
     few = 0.93 - 1.0 / np.sqrt(draws) * (draws < 1000)
     assert np.all(np.mean(held, axis=0) >= few)
     assert np.all(np.mean(held, axis=0) <= 0.97) or draws < 1000
-
-
-def test_weights_of_a_spline_s_values_are_those_of_its_points_however_many_there_are():
-    random = np.random.default_rng(7)
-    at, weights = np.sort(random.uniform(-0.01, 1.01, 300)), random.normal(size=(5, 300))
-    for count in (4, 5, 60):
-        x = np.sort(random.uniform(0.0, 1.0, count))
-        dense = weights @ cubic_spline(x, np.eye(count))(at)
-        assert point_weights(x, at, weights) == pytest.approx(dense, rel=1e-6, abs=1e-6 * np.abs(dense).max())
-    # A constant is its own spline.
-    of_points = point_weights(np.linspace(0.0, 1.0, 50_000), at.clip(0.0, 1.0), weights)
-    assert of_points.sum(axis=1) == pytest.approx(weights.sum(axis=1))
 
 
 def test_a_guide_that_is_too_flat_or_the_same_again_and_again_tells_nothing():
