@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import Legendre
+from recorded_run import recorded_run
 from scipy.stats import f, linregress
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.analysis.metrics import evaluate
 from straightcomp_ros.bags.reader import read_attachments
-from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.model.motion import Trajectory, Waypoint
 from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import run_stroke
@@ -38,6 +38,8 @@ HYSTERESIS = 0.3e-6
 KIND = Kind(hysteresis=HYSTERESIS)
 SURVEY = surveyed(10e-3, 25e-9, KIND)
 MAP = mapped(SURVEY)
+LEVEL = mapped(Survey(tuple(replace(run, deviation=run.deviation - guide(run.x)) for run in SURVEY.runs)))
+"""Of the hysteresis alone."""
 PERIOD_NS = 500_000
 
 
@@ -150,12 +152,11 @@ def test_two_tables_that_leave_the_travel_inside_the_survey_are_not_refused_for_
 
 def test_the_hand_over_leaves_no_step_in_the_reference_its_rate_and_its_acceleration():
     # Reversals at rest, beyond the hand-over and in the middle of it, the last by an acceleration that does not stop.
-    level = mapped(replace(SURVEY, runs=tuple(replace(r, deviation=r.deviation - guide(r.x)) for r in SURVEY.runs)))
-    assert level.directed
+    assert LEVEL.directed
     time = np.arange(0.0, 2.0, 5e-5)
     x = 0.75 + 0.01 * np.cos(2.0 * np.pi * time) ** 3 + 0.0004 * np.cos(9.0 * time)
     speed, acceleration = np.gradient(x, time), np.gradient(np.gradient(x, time), time)
-    r, slope, curvature = along(level, x)
+    r, slope, curvature = along(LEVEL, x)
     rate, second = slope * speed, curvature * speed**2 + slope * acceleration
     assert np.ptp(r) > 0.9 * HYSTERESIS
     # What the derivatives of a function without steps allow from one sample to the next.
@@ -195,15 +196,14 @@ def test_the_tables_are_the_maps_by_direction_with_their_distance_and_their_stee
 
 @pytest.mark.parametrize("lead", [2e-3, 0.02])
 def test_a_reference_from_before_a_reversal_errs_by_as_much_as_is_said(lead):
-    level = mapped(replace(SURVEY, runs=tuple(replace(r, deviation=r.deviation - guide(r.x)) for r in SURVEY.runs)))
     acceleration, step, ahead = 0.4, 1e-4, round(lead / 1e-4)
     t = np.arange(0.0, 0.15, step)
     way = 0.5 * acceleration * t**2
-    r, slope, curvature = (of[500:] for of in along(level, 0.75 - np.concatenate([np.linspace(0.1, 0.0, 500), way])))
+    r, slope, curvature = (of[500:] for of in along(LEVEL, 0.75 - np.concatenate([np.linspace(0.1, 0.0, 500), way])))
     rate, second = rates(slope, curvature, -acceleration * t, np.full_like(t, -acceleration))
     error = np.abs(r[ahead:] - (r + rate * lead + second * lead**2 / 2.0)[:-ahead]).max()
-    apart = np.abs(np.subtract(*(level.evaluate(0.75, way)[0] for way in WAYS)))
-    assert error == pytest.approx(outdated_handover(apart, acceleration, level.reversal, lead), rel=0.05)
+    apart = np.abs(np.subtract(*(LEVEL.evaluate(0.75, way)[0] for way in WAYS)))
+    assert error == pytest.approx(outdated_handover(apart, acceleration, LEVEL.reversal, lead), rel=0.05)
 
 
 def test_after_a_whole_hand_over_the_reference_is_that_of_the_other_direction_with_no_more_than_its_bound():
@@ -252,20 +252,17 @@ def test_offline_and_live_code_follow_the_tables_to_the_same_bit_and_beat_their_
 
 
 def test_a_bag_of_two_tables_is_evaluated_as_the_run_that_it_recorded(values, tmp_path):
-    simulation = Simulation(by_node(values))
-    with SimulatedRun(tmp_path / "bag", by_node(values), simulation.delay) as bag:
-        record = simulation.run(observe=bag.add)
-    evaluation = evaluate_bag(tmp_path / "bag")
+    evaluation = evaluate_bag(recorded_run(tmp_path / "bag", by_node(values)))
     assert evaluation.map is not None and evaluation.map.directed and evaluation.record.reference.directed
 
     def known(figures):
         return {name: figure for name, figure in figures.to_display().items() if figure is not None}
 
     rows = list(csv.DictReader(read_attachments(tmp_path / "bag")["map_band.csv"].decode().splitlines()))
-    for name, values in (("s", MAP.noise.band), ("r_forward", lambda x: MAP.evaluate(x, "forward")[0])):
+    for name, of in (("s", MAP.noise.band), ("r_forward", lambda x: MAP.evaluate(x, "forward")[0])):
         found = [float(row[f"{name}_um"]) * 1e-6 for row in rows]
-        np.testing.assert_allclose(found, values(SURVEY.runs[0].x), atol=2e-9)
-    expected = evaluate(record, simulation.map)
+        np.testing.assert_allclose(found, of(SURVEY.runs[0].x), atol=2e-9)
+    expected = evaluate(*run_stroke(by_node(values)))
     for reference in (evaluation.map, evaluation.record.reference):
         assert known(evaluate(evaluation.record, reference)) == pytest.approx(known(expected), rel=1e-6)
 

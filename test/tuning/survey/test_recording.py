@@ -52,8 +52,24 @@ def driven(*ends, rate=200.0, rest=0.3):
     return np.arange(x.size) / rate, x
 
 
-def series(time, x, deviation):
-    return Series("made up", time, x, deviation, 0, {})
+def series(time, x, deviation=None):
+    """Of :func:`guide`, or of another ``deviation``."""
+    return Series("made up", time, x, guide(x) if deviation is None else deviation, 0, {})
+
+
+def there_and_back(count):
+    """That many places at which the stage stops on its way, and all its stops out and back."""
+    stops = np.linspace(0.0, LENGTH, count)
+    return stops, [*stops, *stops[-2::-1]]
+
+
+def assert_points_at(stops, recording, names=("1 forward", "1 backward"), within=1e-9):
+    """In a recording the runs of these names, and no others, have their points ``within`` so much of the ``stops``."""
+    passages, partial = recognise(recording, 5e-3, 6.0)
+    assert [f"{passage.run.name} {passage.run.direction}" for passage in passages] == [*names] and partial == 0
+    for passage in passages:
+        assert passage.at_rest and passage.run.x == pytest.approx(stops, abs=within)
+        assert passage.run.deviation == pytest.approx(guide(stops), abs=2e-8)
 
 
 def test_clean_noise_is_hardly_ever_an_outlier():
@@ -66,7 +82,7 @@ def test_clean_noise_is_hardly_ever_an_outlier():
 
 def test_strokes_directions_and_a_broken_off_run_are_recognised():
     time, x = driven(0.0, LENGTH, 0.0, 0.15, 0.0, LENGTH, 0.0)
-    passages, partial = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    passages, partial = recognise(series(time, x), 5e-3, 6.0)
     names = [(p.run.name, p.run.direction) for p in passages]
     assert names == [("1", "forward"), ("1", "backward"), ("2", "forward"), ("2", "backward")] and partial == 2
     for passage in passages:
@@ -85,80 +101,66 @@ def test_a_spike_does_not_reach_the_points_even_where_a_point_has_one_reading():
 
 
 def test_stops_make_points_of_their_second_halves():
-    time, x = driven(*np.arange(0.0, LENGTH + 1e-9, 0.01), *np.arange(LENGTH, -1e-9, -0.01)[1:], rest=0.5)
+    stops, ends = there_and_back(41)
+    time, x = driven(*ends, rest=0.5)
     moving = np.abs(np.gradient(x, time)) > 1e-6
     # The probe still swings when the stage has stopped.
     settled_for = np.zeros(x.size)
     for i in range(1, x.size):
         settled_for[i] = 0.0 if moving[i] else settled_for[i - 1] + time[i] - time[i - 1]
-    deviation = guide(x) + 2e-6 * np.exp(-settled_for / 0.02)
-    passages, _ = recognise(series(time, x, deviation), 5e-3, 6.0)
-    assert [p.run.direction for p in passages] == ["forward", "backward"]
-    for passage in passages:
-        assert passage.at_rest and passage.run.x == pytest.approx(np.linspace(0.0, LENGTH, 41), abs=1e-9)
-        assert passage.run.deviation == pytest.approx(guide(passage.run.x), abs=2e-8)
-    built, _ = build_from_series(series(time, x, deviation), SAMPLE, CHOICES, {})
+    recording = series(time, x, guide(x) + 2e-6 * np.exp(-settled_for / 0.02))
+    assert_points_at(stops, recording)
+    built, _ = build_from_series(recording, SAMPLE, CHOICES, {})
     assert built.straightness.span == pytest.approx((0.0, LENGTH))
 
 
 def test_the_last_stop_ends_where_the_next_record_was_joined_to_it():
-    _, one = driven(*np.arange(0.0, LENGTH + 1e-9, 0.01), rest=0.5)
-    x = np.concatenate([one, one])
-    passages, _ = recognise(series(np.arange(x.size) / 200.0, x, guide(x)), 5e-3, 6.0)
-    assert [passage.run.name for passage in passages] == ["1", "2"]
-    for passage in passages:
-        assert passage.run.x == pytest.approx(np.linspace(0.0, LENGTH, 41), abs=1e-9)
+    stops, _ = there_and_back(41)
+    x = np.tile(driven(*stops, rest=0.5)[1], 2)
+    assert_points_at(stops, series(np.arange(x.size) / 200.0, x), ["1 forward", "2 forward"])
 
 
 @pytest.mark.parametrize("period", [0.5, 0.04])
 @pytest.mark.parametrize("samples_within", range(5))
 def test_no_stop_is_lost_by_a_logger_that_has_few_samples_within_a_move(tmp_path, samples_within, period):
-    stops, path = np.linspace(0.0, LENGTH, 9), tmp_path / "slow.csv"
-    _, x = driven(*stops, *stops[-2::-1], rate=(samples_within + 1) * SPEED / stops[1] * 0.999, rest=5.0)
+    (stops, ends), path = there_and_back(9), tmp_path / "slow.csv"
+    _, x = driven(*ends, rate=(samples_within + 1) * SPEED / stops[1] * 0.999, rest=5.0)
     rows = (f"{period * k},{a * 1e3},{guide(a) * 1e6}\n" for k, a in enumerate(x))
     path.write_text("time_s,x_mm,deviation_um\n" + "".join(rows))
-    passages, partial = recognise(series_of_csv(path), 5e-3, 6.0)
-    assert [passage.run.direction for passage in passages] == ["forward", "backward"] and partial == 0
-    for passage in passages:
-        assert passage.run.x == pytest.approx(stops, abs=1e-9)
-        assert passage.run.deviation == pytest.approx(guide(stops), abs=1e-12)
+    assert_points_at(stops, series_of_csv(path))
 
 
 def test_no_stop_is_lost_by_a_logger_for_which_a_move_ends_slowly():
-    stops = np.linspace(0.0, LENGTH, 21)
-    x = np.repeat([*stops, *stops[-2::-1]], 2)
+    stops, places = there_and_back(21)
+    x = np.repeat(places, 2)
     # Stands for 3.03 s, moves for 4 s.
     ends = 7.03 * (np.arange(x.size) // 2) + 3.03 * (np.arange(x.size) % 2)
     time = np.arange(0.013, ends[-1])
-    x = np.interp(time, ends, x)
-    passages, _ = recognise(series(time, x, guide(x)), 5e-3, 6.0)
-    assert [passage.run.x.size for passage in passages] == [stops.size] * 2
+    assert_points_at(stops, series(time, np.interp(time, ends, x)), within=3e-4)
 
 
 def test_what_a_slow_logger_recorded_well_is_read_without_positions_between_its_samples():
     time, x = driven(0.0, LENGTH, 0.0, rate=2.0, rest=5.0)
-    passages, _ = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    passages, _ = recognise(series(time, x), 5e-3, 6.0)
     assert [np.isin(passage.run.x.round(9), x.round(9)).all() for passage in passages] == [True, True]
-    stops = np.linspace(0.0, LENGTH, 9)
-    time, x = driven(*stops, *stops[-2::-1], rate=12.0, rest=3.0)
+    time, x = driven(*there_and_back(9)[1], rate=12.0, rest=3.0)
     # The reading before a move is wrong.
     x[np.flatnonzero(np.diff(x))[9] - 1] += 0.3
-    passages, partial = recognise(series(time, x, guide(x)), 5e-3, 6.0)
+    passages, partial = recognise(series(time, x), 5e-3, 6.0)
     assert [passage.run.direction for passage in passages] == ["forward", "backward"] and partial == 0
 
 
 def test_too_few_stops_are_refused_without_the_advice_that_is_for_runs_on_the_fly():
-    stops = np.linspace(0.0, LENGTH, 12)
-    time, x = driven(*stops, *stops[-2::-1])
+    time, x = driven(*there_and_back(12)[1])
     with pytest.raises(SurveyError, match=r"12 points; allowed: >= 20 \(min_points\)") as caught:
-        build_from_series(series(time, x, guide(x)), SAMPLE, CHOICES, {})
+        build_from_series(series(time, x), SAMPLE, CHOICES, {})
     assert "step" not in str(caught.value)
 
 
 @pytest.mark.parametrize("ends", [(0.2, 4, 0, 4, 0, 4, 0), (0, 4, 0, 3.75, 0, 4, 0), (0, 3.8, 0, 4, 0.3, 4, 0, 4, 0)])
 def test_a_run_that_lacks_a_piece_of_a_long_stroke_is_partial_and_the_others_make_the_map(ends):
     time, x = driven(*ends)
-    built, _ = build_from_series(series(time, x, guide(x)), SAMPLE, CHOICES, {})
+    built, _ = build_from_series(series(time, x), SAMPLE, CHOICES, {})
     # What leads back from where a run was broken off lacks the same piece.
     whole = sum(abs(end - start) == 4 for start, end in itertools.pairwise(ends))
     assert built.counts["partial_runs"] == len(ends) - 1 - whole
@@ -169,7 +171,7 @@ def test_a_run_that_lacks_a_piece_of_a_long_stroke_is_partial_and_the_others_mak
 def test_of_three_runs_of_which_no_two_agree_in_their_ends_none_is_known_to_be_whole():
     time, x = driven(0.0, 4.0, 0.06, 4.06, 0.12, 4.12)
     with pytest.raises(SurveyError, match="allowed: within 50 mm"):
-        build_from_series(series(time, x, guide(x)), SAMPLE, CHOICES, {})
+        build_from_series(series(time, x), SAMPLE, CHOICES, {})
 
 
 DEMANDS = {
@@ -238,24 +240,13 @@ def test_a_map_is_reported_with_its_band_and_smoothed_as_asked(tmp_path, verb):
         assert found["smoothed"] == (how == "auto") and f"stage.guide.smooth {how}" in found["provenance"]["choices"]
         assert found["map_uncertainty_95_um"] == pytest.approx(noise.half_width * 1e6, rel=1e-3)
         assert found["map_s_um"] == pytest.approx(noise.band(np.array(found["x_mm"]) * 1e-3) * 1e6, rel=1e-3)
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert figures["none"]["map_um"] == pytest.approx(figures["none"]["mean_um"])
     assert figures["auto"]["map_um"] != pytest.approx(figures["auto"]["mean_um"], abs=0.1)
     code, _, said = verb("map", "build", source, "--smooth", "some")
     assert code == 2 and "allowed: auto, none or a number" in said
     code, _, said = verb("map", "build", source)
     assert code == 0 and "6 more runs" in " ".join(said.split())
-
-
-def test_a_recording_as_csv_and_a_survey_file_are_read_too(tmp_path, verb):
-    time, x = driven(0.0, LENGTH, 0.0, LENGTH, 0.0)
-    rows = "\n".join(f"{t:.3f},{a * 1e3:.4f},{d * 1e6:.3f}" for t, a, d in zip(time, x, guide(x), strict=True))
-    recording, survey, plot = tmp_path / "time.csv", tmp_path / "survey.csv", tmp_path / "survey.png"
-    recording.write_text(f"time_s,x_mm,deviation_um\n{rows}\n")
-    first = verb("map", "build", recording, "-o", survey, "--plot", plot, "--json").json
-    assert first["forward_runs"] == first["backward_runs"] == 2
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    again = verb("map", "build", survey, "--json").json
-    assert again["straightness_least_squares_um"] == pytest.approx(first["straightness_least_squares_um"], abs=2e-3)
 
 
 @pytest.mark.parametrize("time", ["", "time_s,"])
