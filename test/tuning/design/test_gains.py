@@ -14,7 +14,6 @@ from straightcomp_ros.control.margins import (
     linearised,
     loop_margins,
     missing_margin,
-    phase_margin,
     sampled_plant,
 )
 from straightcomp_ros.model.modes import ModeParameters
@@ -124,18 +123,6 @@ def test_a_loop_that_leaves_a_mode_alone_need_not_damp_it():
     assert 2.0 * math.pi * 180.0 * 0.005 * STAGE.dead_time < 0.5 * STANDARD.decay
     control = with_gains(ControlParameters(), "smc_observer", rule("smc_observer", STAGE))
     assert StabilityCheck(ringing).violation(control) == StabilityCheck(STAGE).violation(control) == 0.0
-
-
-@pytest.mark.parametrize(
-    ("mode", "phase"),
-    [((180.0, 0.001, 0.3, -0.3), 9.3), ((640.0, 0.01, 0.1, 0.1), 10.4)],
-)
-def test_the_phase_margin_is_found_where_a_resonance_crosses_twice_within_a_step_of_the_frequencies(mode, phase):
-    ringing = STAGE.with_modes(ModeParameters(*mode))
-    gains = {**rule("smc_observer", ringing), **shapes_for(ringing)["a notch"]}
-    law = linearised(make_law(with_gains(ControlParameters(), "smc_observer", gains), ringing))
-    plant = sampled_plant(ringing, ringing.drive.delay * ringing.period)
-    assert phase_margin(plant, law, ringing.period, 400) == pytest.approx(phase, abs=2.0)
 
 
 def control_of(scenario, factor=1.0):

@@ -219,20 +219,6 @@ STAGE = StageParameters()
 GRID = np.geomspace(0.5, 990.0, 4000)
 
 
-@pytest.mark.parametrize("delay", [0.3, 1.0, 1.6])
-def test_far_below_the_sampling_rate_the_plant_is_that_of_the_continuous_equations(delay):
-    stage = dataclasses.replace(STAGE, drive=dataclasses.replace(STAGE.drive, delay=delay))
-    f = np.array([2.0, 10.0, 40.0])
-    s = 2j * math.pi * f
-    actuator, damping = stage.actuator, 120.0
-    mechanics = actuator.current_stiffness / (stage.platform.mass * s**2 + damping * s - actuator.position_stiffness)
-    amplifier = 1.0 / (1.0 + s / (2.0 * math.pi * stage.drive.bandwidth))
-    held = np.exp(-s * (delay + 0.5) * stage.period)
-    law = make_law(ControlParameters(law="linear"), stage)
-    ratio = loop_response(law, stage, f, damping).plant / (mechanics * amplifier * held)
-    np.testing.assert_allclose(ratio, 1.0, atol=5e-3)
-
-
 @pytest.mark.parametrize("law", ["linear", "smc", "smc_observer"])
 def test_in_the_picture_the_phase_margin_is_the_distance_of_the_open_loop_from_minus_180_degrees(law):
     loop = loop_response(make_law(ControlParameters(law=law), STAGE), STAGE, GRID)
@@ -269,18 +255,12 @@ SMALL = {"platform.stop": 1.5e-4, "actuator.bias_current": 0.2, "actuator.curren
 
 @pytest.mark.parametrize("running", [False, True])
 @pytest.mark.parametrize(
-    ("facts", "words", "current", "travel"),
-    [
-        ({}, "", 0.25, 3e-4),
-        (SMALL, "", 0.05, 5.25e-5),
-        ({"actuator.current_limit": 0.18}, "", 0.05, 3e-4),
-        (SMALL, "--current 0.02 --travel 4e-5", 0.02, 4e-5),
-    ],
+    ("words", "current", "travel"), [("", 0.05, 5.25e-5), ("--current 0.02 --travel 4e-5", 0.02, 4e-5)]
 )
 def test_what_is_not_chosen_of_the_excitation_follows_from_the_stage_that_is_measured(
-    monkeypatch, verb, running, facts, words, current, travel
+    monkeypatch, verb, running, words, current, travel
 ):
-    seen, described = [], with_values(shipped_parameters(), "stage", facts)
+    seen, described = [], with_values(shipped_parameters(), "stage", SMALL)
 
     def measured(values, excitation, **_):
         seen.append(excitation)
@@ -298,4 +278,3 @@ def test_what_is_not_chosen_of_the_excitation_follows_from_the_stage_that_is_mea
     assert verb("frequency-response", *words.split(), *(["--graph", "running"] if running else [])).code != 0
     (excitation,) = seen
     assert (excitation.current, excitation.travel) == pytest.approx((current, travel))
-    assert facts or excitation == MultisineParameters()

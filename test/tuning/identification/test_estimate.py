@@ -11,12 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from recorded_run import recorded_run, rewired
-from scipy.signal import lfilter
 from verbs import ran
 
 from straightcomp_ros.analysis import IdentificationError
 from straightcomp_ros.analysis import current_path as recording
-from straightcomp_ros.analysis.current_path import CurrentPath, current_path, read_recording
+from straightcomp_ros.analysis.current_path import CurrentPath, read_recording
 from straightcomp_ros.cli.options import settings
 from straightcomp_ros.contract import COMMAND, ENCODER, STROKE
 from straightcomp_ros.model.actuator import ActuatorParameters
@@ -229,18 +228,6 @@ def test_sliding_alone_leads_near_the_machine_whatever_the_description_says_if_t
     assert sliding_start(dataclasses.replace(recording, y=0.01 * recording.y), begin) is None
 
 
-def test_a_delay_is_found_that_is_longer_than_usual_on_a_fast_stage():
-    drive, period = DriveParameters(bandwidth=2000.0, delay=4.3), 1.0 / 8000.0
-    command = np.repeat(np.random.default_rng(5).uniform(-0.05, 0.05, 400), 2)
-    fine, keep = np.repeat(command, 10), math.exp(-2.0 * math.pi * drive.bandwidth * period / 10)
-    asked = np.concatenate([np.full(43, fine[0]), fine[:-43]])
-    current = lfilter([1.0 - keep], [1.0, -keep], asked)[9::10]
-    # Sample k is at the end of the ten steps before it.
-    record = SimpleNamespace(period_ns=125_000, command=np.append(command[1:], 0.0), current=current)
-    path = current_path(record, drive)
-    assert path.rate_found and path.delay == pytest.approx(4.3 * period, rel=0.02)
-
-
 @pytest.mark.nightly
 def test_a_machine_far_from_its_description_is_found_up_to_the_scale_of_forces(far_bag):
     estimate = estimate_from_bag(far_bag, dataclasses.replace(START, drive=DriveParameters()), ["platform.mass"])
@@ -286,14 +273,9 @@ SHIFT = 25e-6
 """m; of the zero of an encoder of y off the magnets' centre."""
 
 
-@pytest.fixture
-def shifted_bag(tmp_path, waves):
-    shifted = rewired(lambda sample: sample._replace(y=sample.y + SHIFT))
-    return recorded_run(tmp_path / "bag", values(STIFF, guide_file=waves), wiring=shifted)
-
-
-def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(shifted_bag, stiff_bag):
-    aligned, off = (centre(read_recording(bag), STRIBECK) for bag in (stiff_bag, shifted_bag))
+def test_a_centre_of_the_magnets_off_the_encoders_zero_is_found(stiff_bag):
+    recorded = read_recording(stiff_bag)
+    aligned, off = (centre(dataclasses.replace(recorded, y=recorded.y + by), STRIBECK) for by in (0.0, SHIFT))
     assert aligned is not None and not aligned.certain and abs(aligned.value) < 0.1e-6
     assert off is not None and off.certain and off.value == pytest.approx(SHIFT, abs=0.1e-6)
 
@@ -325,8 +307,10 @@ def test_a_platform_has_a_centre_on_a_flexure_that_is_stiffer_than_the_magnets_b
 
 
 @pytest.mark.nightly
-def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(shifted_bag):
-    found = estimate_from_bag(shifted_bag, START, ["actuator.turns"])
+def test_a_centre_of_the_magnets_off_the_encoders_zero_harms_no_other_fact(tmp_path, waves):
+    shifted = rewired(lambda sample: sample._replace(y=sample.y + SHIFT))
+    bag = recorded_run(tmp_path / "bag", values(STIFF, guide_file=waves), wiring=shifted)
+    found = estimate_from_bag(bag, START, ["actuator.turns"])
     for name in ("platform.mass", "actuator.air_gap", "friction.coulomb"):
         assert found.parameters[name].value == pytest.approx(truth_of(STIFF)[name], rel=WITHIN[name]), name
 
