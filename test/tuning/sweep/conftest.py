@@ -1,6 +1,5 @@
 import pytest
 
-from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import Scenario, make_scenario
 
 
@@ -16,5 +15,5 @@ def values() -> dict[str, dict]:
 
 @pytest.fixture
 def scenario(values: dict[str, dict]) -> Scenario:
-    """All laws on the short cycle, with the default uncertainty."""
-    return make_scenario(values, LAWS)
+    """Two laws on the short cycle, with the default uncertainty."""
+    return make_scenario(values, ["linear", "smc"])

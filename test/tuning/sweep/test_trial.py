@@ -8,9 +8,7 @@ from numpy.random import SeedSequence, default_rng
 
 from scripts import late_commands as script
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.control.laws import LAWS
 from straightcomp_ros.offline.scenario import make_scenario
-from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.offline.starts import run_stroke
 from straightcomp_ros.parameters.declaration import ParameterError, from_mapping, to_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
@@ -95,11 +93,10 @@ BLOCKS = {"model": "maxwell_slip", "bands.fraction": 0.3, "rest.growth": 0.2}
 """Friction beyond LuGre's."""
 
 
-@pytest.mark.parametrize(("law", "contact"), [*((law, {}) for law in LAWS), ("smc", BLOCKS)])
-def test_a_trial_without_uncertainty_has_the_figures_of_the_simulation(values, law, contact):
+@pytest.mark.parametrize(("law", "contact"), [("smc_observer", {}), ("smc", BLOCKS)])
+def test_a_trial_without_uncertainty_has_the_figures_of_the_described_machine(values, law, contact):
     values = {**within(EXACT, values), "driver": {f"{CONTACT}.{name}": value for name, value in contact.items()}}
-    simulation = Simulation({**values, "controller": {"control.law": law}})
-    expected = evaluate(simulation.run(), simulation.map)
+    expected = evaluate(*run_stroke({**values, "controller": {"control.law": law}}))
     (result,) = run_trials(make_scenario(values, [law]), 1, [0])
     assert (result.pp, result.rms) == (expected.true_pp, expected.true_rms)
     assert result.control_activity == expected.control_activity
