@@ -74,13 +74,10 @@ def test_each_point_of_the_survey_errs_on_its_own():
 @pytest.mark.parametrize(
     "values, message",
     [
-        ({"stage": {"uncertainty.mass": 1.5}}, "mass'.*<= 0.9"),
-        ({"stage": {"uncertainty.friction": 0.5}}, "friction'.*>= 1"),
         ({"stage": {"uncertainty.shortest_delay": 2.0}}, "longest_delay'.*>= 2.0 \\('"),
         ({"stage": {"uncertainty.air_gap": 0.5}}, "air gap × 0.5: 0.00075 m does not hold the stop"),
         ({"stage": {"uncertainty.jitter": 0.5}}, "jitter'.*<= 0.4 samples"),
         ({"controller": {"stage.rate": 1000}}, "1000 Hz; allowed: 2000 Hz"),
-        ({"stage": {"rate": 50}}, "rate': 50 Hz .*>= 100"),
         ({"driver": {"simulated.command_timeout": 0.5e-3}}, "command_timeout.*>= 0.00054 s"),
     ],
 )
