@@ -1,11 +1,11 @@
 """Reading a survey: what is accepted, how each fault is named, where a file without names of runs is split; its runs
 on one grid, and their repeatability by its definition."""
 
-import math
+import statistics
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from straightcomp_ros.straightness.survey import Run, Survey, read_survey, write_survey
@@ -287,7 +287,8 @@ def test_runs_that_take_turns_in_a_file_sorted_by_x_are_known_by_their_column(re
 
 
 @pytest.mark.parametrize(
-    ("name", "cell"), [("Cycles", lambda x: 3 + x % 40), ("Probe", lambda x: ("fwd", "bwd")[x > 190])]
+    ("name", "cell"),
+    [("Cycles", lambda x: 3 + x % 40), ("Probe", lambda x: "fwd" if x < 200 or x in (240, 320, 400) else "bwd")],
 )
 def test_a_number_that_changes_from_point_to_point_and_a_direction_of_a_part_of_x_are_none_of_the_runs(
     read, name, cell
@@ -635,11 +636,6 @@ def test_a_run_that_ends_a_point_early_is_kept_whatever_the_last_bit_of_its_x_sa
     np.testing.assert_array_equal(x, steps[:-1])
 
 
-def test_directions_weigh_the_same_whatever_the_number_of_their_runs():
-    x, values, survey = _grid(_run("forward", 0.0), _run("forward", 0.0), _run("forward", 0.0), _run("backward", 4e-8))
-    np.testing.assert_allclose(repeatability(survey, x, values).mean, _bow(GRID) + 2e-8, rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("runs", "words"),
     [
@@ -653,53 +649,34 @@ def test_runs_without_a_common_grid_are_refused(runs, words):
         _grid(*runs)
 
 
-FOUR = np.arange(4) * 0.01
+NANOMETRES = st.lists(st.integers(-9999, 9999), min_size=4, max_size=4)
+RUNS = st.integers(0, 6).flatmap(lambda count: st.lists(NANOMETRES, min_size=count, max_size=count))
+"""Over four points, each number of them as often."""
 
 
-def found_of(forward, backward):
-    """Repeatability of runs given as rows of deviations in µm at four points."""
-    rows = [("forward", row) for row in forward] + [("backward", row) for row in backward]
-    runs = tuple(Run(str(i), way, FOUR, np.array(row) * 1e-6) for i, (way, row) in enumerate(rows))
-    return repeatability(Survey(runs), FOUR, np.array([run.deviation for run in runs]))
-
-
-def test_the_figures_are_those_of_the_standard_at_the_worst_point():
-    found = found_of([[1, 0, 0, 0], [3, 0, 0, 0]], [[0, 0, 0, 5], [0, 0, 0, 9]])
-    # s: √2 and 2√2 µm, which the bidirectional figure adds to the reversal.
-    assert found.to_display() == pytest.approx(
-        {
-            "repeatability_forward_um": 4.0 * math.sqrt(2.0),
-            "repeatability_backward_um": 8.0 * math.sqrt(2.0),
-            "repeatability_bidirectional_um": 4.0 * math.sqrt(2.0) + 7.0,
-            "reversal_max_um": 7.0,
-            "reversal_mean_um": -1.25,
-        }
-    )
-    assert found.reversal == pytest.approx([2e-6, 0.0, 0.0, -7e-6])
-
-
-@pytest.mark.parametrize(
-    "forward, backward, um",
-    [((1, 3), (0, 4), 8.0 * math.sqrt(2.0)), ((0, 4), (2, 2), 8.0 * math.sqrt(2.0)), ((11, 13), (0, 4), None)],
-)
-def test_the_bidirectional_figure_is_that_of_the_worse_direction_or_of_both_and_the_reversal(forward, backward, um):
-    found = found_of(*([[value, 0, 0, 0] for value in values] for values in (forward, backward)))
-    # s: √2 and 2√2 µm.
-    assert found.bidirectional == pytest.approx((um or 6.0 * math.sqrt(2.0) + 10.0) * 1e-6)
-
-
-def test_what_was_not_driven_twice_or_not_both_ways_has_no_figure():
-    one = found_of([[1, 2, 3, 4]], [])
-    assert set(one.to_display().values()) == {None} and "deviation at most" not in str(one)
-    both = found_of([[1, 1, 1, 1], [1, 1, 1, 1]], [[0, 0, 0, 0]])
-    assert both.bidirectional is None and both.backward.s is None and both.forward.repeatability == 0.0
-    assert "deviation at most 0.000 µm, hysteresis 1.000 µm" in str(both)
-    assert both.to_display()["reversal_mean_um"] == pytest.approx(1.0)
-    assert found_of([], [[1, 1, 1, 1]]).forward is None
-
-
-def test_the_standard_asks_for_five_runs_each_way():
-    row = [0, 1, 2, 3]
-    assert not found_of([row] * 5, [row] * 5).short_of_the_standard
-    for forward, backward in ((4, 5), (5, 4), (5, 0), (0, 5)):
-        assert found_of([row] * forward, [row] * backward).short_of_the_standard
+@given(forward=RUNS, backward=RUNS)
+def test_the_figures_are_those_of_the_standard_of_what_was_driven_often_enough_for_them(forward, backward):
+    assume(forward or backward)
+    x, driven = np.arange(4) * 0.01, {"forward": forward, "backward": backward}
+    runs = [Run("1", way, x, np.array(run) * 1e-9) for way, runs in driven.items() for run in runs]
+    found = repeatability(Survey(tuple(runs)), x, np.array([run.deviation for run in runs]))
+    # By the definitions, from the values of each direction at each point.
+    at_points = [list(zip(*runs, strict=True)) for runs in driven.values()]
+    means = [[statistics.mean(values) for values in points] for points in at_points]
+    s = [[statistics.stdev(values) for values in points if len(values) > 1] for points in at_points]
+    one_way = [4.0 * max(each) if each else None for each in s]
+    reversal = [there - back for there, back in zip(*means, strict=False)]
+    both = [2.0 * (there + back) + abs(b) for there, back, b in zip(*s, reversal, strict=False)]
+    expected = {
+        "repeatability_forward_um": one_way[0],
+        "repeatability_backward_um": one_way[1],
+        "repeatability_bidirectional_um": max(*one_way, *both) if both else None,
+        "reversal_max_um": max(map(abs, reversal)) if reversal else None,
+        "reversal_mean_um": statistics.mean(reversal) if reversal else None,
+    }
+    for name, value in found.to_display().items():
+        assert value == (None if expected[name] is None else pytest.approx(expected[name] * 1e-3, abs=1e-9)), name
+    # Directions weigh the same, whatever the number of their runs.
+    assert found.mean == pytest.approx(np.mean([mean for mean in means if mean], axis=0) * 1e-9, abs=1e-15)
+    assert found.short_of_the_standard == (min(len(forward), len(backward)) < 5)
+    assert ("deviation at most" in str(found)) == any(s) and ("hysteresis" in str(found)) == bool(reversal)
