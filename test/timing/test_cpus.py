@@ -1,22 +1,27 @@
 """Which CPUs loops take, and how other programs are kept off them; all other processes are the test's own."""
 
 import os
-import signal
 import socket
 import subprocess
 import sys
 import threading
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
-from waiting import comes_true
 
 from straightcomp_ros.timing import cpu_guard, cpus
-from straightcomp_ros.timing.cpus import at_normal_priority, claim, claimed, end_loop, loop_cpu, loop_cpus
+from straightcomp_ros.timing.cpus import (
+    at_normal_priority,
+    claim,
+    claimed,
+    end_loop,
+    keep_others_off,
+    loop_cpu,
+    loop_cpus,
+)
 
 CPUS = {0, 1, 2, 3}
-SERVER = """
+GUARD = """
 import sys
 sys.path.insert(0, {root!r})
 from pathlib import Path
@@ -25,113 +30,109 @@ cpu_guard._PROCESSES, cpu_guard._WORK_QUEUES = Path({processes!r}), Path({queues
 cpu_guard.NOTES = Path({notes!r})
 sys.exit(cpu_guard.main(sys.argv[1:]))
 """
-NODE = """
-import sys, time
-from straightcomp_ros.timing import cpu_guard, cpus
-cpus._KEPT, cpus._TURN_S, cpus._LOOPS = {name!r}, 0.2, {loops!r}
-cpu_guard.__file__ = {server!r}
-print(cpus.keep_others_off({cpus!r}), flush=True)
-time.sleep(60)
-"""
+
+
+@pytest.fixture
+def own_names(monkeypatch):
+    """Names of claims that no other process uses."""
+    for name in ("_LOOPS", "_KEPT", "_CHOICE"):
+        monkeypatch.setattr(cpus, name, f"test{name}/{os.getpid()}/")
+    monkeypatch.setattr(cpus, "_held", [])
+    monkeypatch.setattr(cpus, "_ended", set())
+    monkeypatch.setattr(cpus, "_TURN_S", 0.1)
+    yield
+    while cpus._held:
+        end_one()
+
+
+def end_one():
+    """The system closes the claims of a node that ends in whatever way, and the input of its guard."""
+    with cpus._held.pop():
+        pass
+
+
+def other(cpu, graph, process=1):
+    """A process of another graph with its loop on this CPU."""
+    return claim(f"{cpus._LOOPS}{cpu}/{graph}/{process}")
 
 
 class Stand:
-    """Bystanders, and nodes that want the last CPU without them."""
+    """Bystanders, and the last CPU, which the guard of this process, a node, keeps them off."""
 
     def __init__(self, folder):
         self.all = os.sched_getaffinity(0)
         self.cpu = max(self.all)
-        self.name, self.loops = f"test/{os.getpid()}/", f"test_loops/{os.getpid()}/"
+        self.rest = self.all - {self.cpu}
         self.processes, self.queues, self.notes = folder / "proc", folder / "mask", folder / "notes"
         self.processes.mkdir()
         self.notes.mkdir()
         self.queues.write_text("ff\n")
-        paths = {"processes": self.processes, "queues": self.queues, "notes": self.notes}
-        self.server, root = folder / "server.py", str(Path(cpus.__file__).parents[2])
-        self.server.write_text(SERVER.format(root=root, **{name: str(path) for name, path in paths.items()}))
-        self._started = []
+        self.started = []
 
     def bystander(self, cpus=None):
         """A process that others can see; returns its id."""
-        process = self._start("import time; time.sleep(60)")
+        process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+        self.started.append(process)
         if cpus:
             os.sched_setaffinity(process.pid, cpus)
         (self.processes / str(process.pid)).symlink_to(f"/proc/{process.pid}")
         return process.pid
 
-    def node(self, cpus=None):
-        """A node that keeps others off; returns it with what it said."""
-        names = {"name": self.name, "loops": self.loops, "server": str(self.server)}
-        node = self._start(NODE.format(**names, cpus=cpus or {self.cpu}))
-        return node, node.stdout.readline().strip() or node.stderr.read().strip().splitlines()[-1]
-
-    def _start(self, code):
-        pipe = subprocess.PIPE
-        self._started.append(subprocess.Popen([sys.executable, "-c", code], text=True, stdout=pipe, stderr=pipe))
-        return self._started[-1]
-
-    def back(self, pid, cpus):
-        return comes_true(lambda: os.sched_getaffinity(pid) == cpus)
-
 
 @pytest.fixture
-def stand(tmp_path):
+def stand(tmp_path, monkeypatch, own_names):
     if len(os.sched_getaffinity(0)) < 2:
         pytest.skip("one CPU has nothing to share out")
-    made = Stand(tmp_path)
+    made, guard = Stand(tmp_path), tmp_path / "guard.py"
+    paths = {name: str(getattr(made, name)) for name in ("processes", "queues", "notes")}
+    guard.write_text(GUARD.format(root=str(Path(cpus.__file__).parents[2]), **paths))
+    monkeypatch.setattr(cpu_guard, "__file__", str(guard))
+    monkeypatch.setattr(cpu_guard, "NOTES", made.notes)
     yield made
-    for process in made._started:
+    for process in made.started:
         process.kill()
-        process.communicate()
+        process.wait()
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_others_leave_the_cpu_until_the_node_ends_in_whatever_way(stand, number):
-    rest = stand.all - {stand.cpu}
-    free, elsewhere, bound = stand.bystander(), stand.bystander(rest), stand.bystander({stand.cpu})
-    node, said = stand.node()
-    assert said == f"kept 1 threads of other programs off CPU {stand.cpu}"
-    assert os.sched_getaffinity(free) == os.sched_getaffinity(elsewhere) == rest
+def test_others_leave_the_cpu_until_the_node_ends(stand, monkeypatch):
+    free, elsewhere, bound = stand.bystander(), stand.bystander(stand.rest), stand.bystander({stand.cpu})
+    assert keep_others_off({stand.cpu}) == f"kept 1 threads of other programs off CPU {stand.cpu}"
+    assert os.sched_getaffinity(free) == os.sched_getaffinity(elsewhere) == stand.rest
     # It could run nowhere.
     assert os.sched_getaffinity(bound) == {stand.cpu}
     assert int(stand.queues.read_text(), 16) == 0xFF & ~(1 << stand.cpu)
-    child = stand.bystander(rest)
-    node.send_signal(number)
+    child = stand.bystander(stand.rest)
+    cpus._held[0].stdin.close()
     # A node that is started again takes over from the one that has ended.
-    node, said = stand.node()
-    assert said.startswith("kept 2 threads") and os.sched_getaffinity(free) == rest
-    node.send_signal(number)
-    assert stand.back(free, stand.all) and stand.back(child, stand.all)
-    assert os.sched_getaffinity(elsewhere) == rest
+    monkeypatch.setattr(cpus, "_TURN_S", 60.0)
+    assert keep_others_off({stand.cpu}).startswith("kept 2 threads") and os.sched_getaffinity(free) == stand.rest
+    end_one()
+    assert os.sched_getaffinity(free) == os.sched_getaffinity(child) == stand.all
+    assert os.sched_getaffinity(elsewhere) == stand.rest
     assert stand.queues.read_text().strip() == "ff"
 
 
-def test_what_a_killed_guard_left_behind_is_seen_and_corrected_by_the_next_node(stand, monkeypatch):
-    monkeypatch.setattr(cpus, "_KEPT", stand.name)
-    monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
-    rest = stand.all - {stand.cpu}
-    free, elsewhere = stand.bystander(), stand.bystander(rest)
+def test_what_a_killed_guard_left_behind_is_seen_and_corrected_by_the_next_node(stand):
+    free, elsewhere = stand.bystander(), stand.bystander(stand.rest)
     assert cpus.kept_free() == set()
-    node, _ = stand.node()
+    keep_others_off({stand.cpu})
     # Nodes that start meanwhile may use the CPU all the same.
     assert cpus.kept_free() == {stand.cpu} and cpus.left_behind() == set()
-    (process,) = Path(f"/proc/{node.pid}/task/{node.pid}/children").read_text().split()
-    assert os.getsid(int(process)) == int(process)  # Ctrl-C in the node's terminal does not reach it
-    os.kill(int(process), signal.SIGKILL)
-    node.kill()
-    assert comes_true(lambda: cpus.left_behind() == {stand.cpu}) and cpus.kept_free() == set()
-    assert os.sched_getaffinity(free) == rest and stand.queues.read_text().strip() != "ff"
+    guard = cpus._held.pop()
+    assert os.getsid(guard.pid) == guard.pid  # Ctrl-C in the node's terminal does not reach it
+    guard.kill()
+    guard.communicate()
+    assert cpus.left_behind() == {stand.cpu} and cpus.kept_free() == set()
+    assert os.sched_getaffinity(free) == stand.rest and stand.queues.read_text().strip() != "ff"
 
-    node, said = stand.node()
-    assert said.startswith("kept 0 threads") and cpus.left_behind() == set()
-    node.kill()
-    assert stand.back(free, stand.all)
-    assert comes_true(lambda: stand.queues.read_text().strip() == "ff" and not list(stand.notes.iterdir()))
-    assert os.sched_getaffinity(elsewhere) == rest and cpus.left_behind() == set()
+    assert keep_others_off({stand.cpu}).startswith("kept 0 threads") and cpus.left_behind() == set()
+    end_one()
+    assert os.sched_getaffinity(free) == stand.all and os.sched_getaffinity(elsewhere) == stand.rest
+    assert stand.queues.read_text().strip() == "ff" and not list(stand.notes.iterdir())
+    assert cpus.left_behind() == set()
 
 
 def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypatch):
-    monkeypatch.setattr(cpu_guard, "NOTES", stand.notes)
     note = stand.notes / cpu_guard.note_name(os.getuid(), stand.cpu)
     cpu_guard.write_note(note, [4, 2], "ff")
     assert cpu_guard.read_note(note) == ({2, 4}, "ff") and cpus.left_behind() == {stand.cpu}
@@ -148,20 +149,16 @@ def test_a_note_of_another_boot_or_of_another_make_says_nothing(stand, monkeypat
 
 
 def test_a_cpu_of_another_node_all_cpus_and_the_last_without_a_loop_are_refused(stand):
-    assert "there is no other CPU" in stand.node(stand.all)[1]
-    others = [claim(f"{stand.loops}{cpu}/graph/1") for cpu in stand.all - {stand.cpu}]
-    assert "each other CPU has the loop of another graph" in stand.node()[1]
+    with pytest.raises(OSError, match="there is no other CPU"):
+        keep_others_off(stand.all)
+    others = [other(cpu, "graph") for cpu in stand.rest]
+    with pytest.raises(OSError, match="each other CPU has the loop of another graph"):
+        keep_others_off({stand.cpu})
     for one in others:
         one.close()
-    assert stand.node()[1].startswith("kept")
-    assert "another node keeps them free for itself" in stand.node()[1]
-
-
-def test_what_belongs_to_other_users_stays_and_is_counted(stand, monkeypatch):
-    stand.bystander()
-    monkeypatch.setattr(cpu_guard, "_PROCESSES", stand.processes)
-    monkeypatch.setattr(os, "sched_setaffinity", Mock(side_effect=PermissionError))
-    assert cpu_guard._move(lambda affinity: affinity - {stand.cpu}) == (0, 1)
+    keep_others_off({stand.cpu})
+    with pytest.raises(OSError, match="another node keeps them free for itself"):
+        keep_others_off({stand.cpu})
 
 
 def test_a_guard_moves_who_may_go_elsewhere_until_no_new_one_inherits_the_cpu_and_looks_at_normal_priorities_only(
@@ -215,24 +212,6 @@ def test_a_guard_changes_the_bits_of_its_own_cpus_in_a_mask_and_guards_give_back
         for cpus_and_before, then in steps:
             cpu_guard._set_queues(*cpus_and_before)
             assert mask.read_text() == then
-
-
-@pytest.fixture
-def own_names(monkeypatch):
-    """Names of claims that no other process uses."""
-    monkeypatch.setattr(cpus, "_LOOPS", f"test_loops/{os.getpid()}/")
-    monkeypatch.setattr(cpus, "_CHOICE", f"test_choice/{os.getpid()}")
-    monkeypatch.setattr(cpus, "_held", [])
-    monkeypatch.setattr(cpus, "_ended", set())
-    monkeypatch.setattr(cpus, "_TURN_S", 0.1)
-    yield
-    for held in cpus._held:
-        held.close()
-
-
-def other(cpu, graph, process=1):
-    """A process of another graph with its loop on this CPU."""
-    return claim(f"{cpus._LOOPS}{cpu}/{graph}/{process}")
 
 
 def test_graphs_take_different_cpus_from_the_last_one_down_and_keep_them_as_long_as_one_of_their_processes_lives(

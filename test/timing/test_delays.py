@@ -85,23 +85,15 @@ def test_every_sample_that_is_left_out_is_counted_once(period, left_out, start):
         ([start + k * PERIOD for start in (10**18, 5 * 10**17, 2 * 10**18) for k in range(10)], 0),
         ([0, PERIOD, 2 * PERIOD, PERIOD + 10**10], 19_998),
         ([0, PERIOD, 2 * PERIOD, 2 * PERIOD + 10**10], 0),
+        ([0, 1, None, 100, 102], 1),
     ],
-    ids=["from the first stamp on", "a source that starts anew", "below ten seconds", "a longer silence is a restart"],
+    ids=["first stamp", "a source that starts anew", "below ten seconds", "silent for longer", "left out on purpose"],
 )
-def test_samples_lost_within_ten_seconds_are_counted(stamps, lost):
+def test_samples_lost_within_ten_seconds_are_counted_but_for_a_restart_of_the_source_and_an_interruption(stamps, lost):
     gaps = StampGaps()
     for stamp in stamps:
-        gaps.see(stamp)
+        gaps.interrupt() if stamp is None else gaps.see(stamp)
     assert gaps.lost == lost
-
-
-def test_samples_that_were_left_out_on_purpose_are_not_lost():
-    gaps = StampGaps()
-    for interrupted, stamp in ((False, 0), (False, 1), (True, 100), (False, 102)):
-        if interrupted:
-            gaps.interrupt()
-        gaps.see(stamp)
-    assert gaps.lost == 1
 
 
 def test_the_longest_wait_of_a_thread_from_look_to_look_counts_once_it_was_seen_and_while_it_lives(tmp_path):
