@@ -72,26 +72,6 @@ def test_a_table_of_force_that_does_not_serve_is_refused_by_name(rows, named, tm
         constants(force_file=str(file))
 
 
-def test_drift_and_vibration_have_their_rms_frequency_and_seed():
-    def drawn(seed):
-        k = constants(seed=seed, drift__current=5e-3, drift__time=0.05, vibration__acceleration=0.2)
-        state, rows = plant_state(), []
-        for n in range(40_000):
-            aim(k, state, MASS, 0.0, 5e-4 if n else 0.0)
-            state[FORCE] += 5e-4 * state[FORCE_RATE]
-            rows.append((state[OFFSET], state[FORCE] / MASS))
-        return np.array(rows).T
-
-    offset, vibration = drawn(1)
-    assert np.std(offset) == pytest.approx(5e-3, rel=0.1)
-    assert np.std(vibration) == pytest.approx(0.2, rel=0.1)
-    assert np.corrcoef(offset[:-100], offset[100:])[0, 1] == pytest.approx(math.exp(-1.0), abs=0.1)
-    spectrum = np.abs(np.fft.rfft(vibration))
-    assert spectrum.argmax() / 20.0 == pytest.approx(30.0, abs=3.0)
-    np.testing.assert_array_equal(drawn(1)[0], offset)
-    assert not np.array_equal(drawn(2)[0], offset)
-
-
 def test_what_disturbs_at_each_sample_is_that_of_its_equations():
     """In complex numbers: the vibration and its quadrature turn and decay; what is drawn keeps the RMS."""
     random = {"drift__current": 5e-3, "drift__time": 0.05, "vibration__acceleration": 0.2, "vibration__damping": 0.1}

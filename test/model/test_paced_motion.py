@@ -210,15 +210,10 @@ def tolerance(name="stage_x", position=0.0, velocity=0.0, acceleration=0.0):
     return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
 
 
-def request(joints=("stage_x",), stamp=0.0, lasts=2.0, path=(), goal=(), time=0.0, **more):
+def request(joints=("stage_x",), path=(), goal=(), time=0.0, **more):
     """What a goal's message has, as far as it is looked at."""
-    trajectory = SimpleNamespace(
-        header=SimpleNamespace(stamp=duration(stamp)),
-        joint_names=list(joints),
-        points=[SimpleNamespace(time_from_start=duration(lasts))],
-    )
     fields = {
-        "trajectory": trajectory,
+        "trajectory": SimpleNamespace(joint_names=list(joints)),
         "multi_dof_trajectory": SimpleNamespace(joint_names=[]),
         "path_tolerance": list(path),
         "goal_tolerance": list(goal),
