@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from surveys import GUIDE
 
 from straightcomp_ros.control.excitation import Injection
 from straightcomp_ros.control.law import Command, Law, _rebuilt
 from straightcomp_ros.control.laws import LAWS, OPEN_LOOP, ControlParameters, make_law
-from straightcomp_ros.control.pairing import Pairing
+from straightcomp_ros.control.pairing import Pairing, extrapolated
 from straightcomp_ros.control.servo import AMPLIFIER_OFF, FADE_TIME, Servo
 from straightcomp_ros.hardware.simulated import SimulatedHardware, SimulatedParameters
 from straightcomp_ros.parameters.declaration import declarations
@@ -324,41 +326,27 @@ def quadratic(stamp_ns):
     return 1e-6 + 2e-3 * t + 0.5 * 0.3 * t * t, 2e-3 + 0.3 * t, 0.3
 
 
-def test_the_reference_of_an_earlier_sample_is_used_at_the_sample_s_own_time_and_again_if_it_is_sent_again():
-    pairing = Pairing(8 * T, wait=True)
-    for k in range(40):
-        pairing.add_sample(at(k), (k,))
-        pairing.add_reference(at(k), quadratic(at(k)))
-        (found,) = pairing.take()
-        assert found == (at(k), (k,), pytest.approx(quadratic(at(k)), rel=1e-12), min(k, 8) * T)
-        pairing.add_sample(at(k), (k,))
-        assert list(pairing.take()) == [found]
-
-
-def test_the_numbers_do_not_depend_on_who_was_faster():
-    def answered(order):
-        pairing, got = Pairing(4 * T, wait=True), []
-        for kind, k in order:
-            if kind == "sample":
-                pairing.add_sample(at(k), (k,))
-            else:
-                pairing.add_reference(at(k), (k * k * 1e-7, k * 1e-5, 0.0))
-            got += pairing.take()
-        return got
-
-    samples, references = ([(kind, k) for k in range(50)] for kind in ("sample", "reference"))
-    together = answered(itertools.chain(*zip(samples, references, strict=True)))
-    assert len(together) == 50 and together == answered(references + samples) == answered(samples + references)
-
-
-def test_in_lockstep_a_sample_waits_for_its_reference_and_one_that_is_repeated_changes_nothing():
-    pairing = Pairing(2 * T, wait=True)
-    for k in range(4):
-        pairing.add_sample(at(k), (k,))
-    assert not list(pairing.take()) and pairing.waits
-    for position in (1.0, 2.0):
-        pairing.add_reference(at(0), (position, 0.0, 0.0))
-    assert [(stamp, found[0]) for stamp, _, found, _ in pairing.take()] == [(at(k), 1.0) for k in range(3)]
+@given(st.integers(0, 8), st.lists(st.tuples(st.booleans(), st.booleans()), max_size=60))
+def test_in_whatever_order_messages_arrive_a_sample_gets_the_reference_of_an_earlier_one_at_its_own_time(lead, turns):
+    """In lockstep it waits for it. Sent again, a sample is answered again, and a reference changes nothing."""
+    pairing, samples, references, answered = Pairing(lead * T, wait=True), [], [], []
+    for of_sample, again in turns:
+        sent = samples if of_sample else references
+        repeats = again and bool(sent)
+        k = len(set(sent)) - repeats
+        sent.append(k)
+        if of_sample:
+            pairing.add_sample(at(k), (k,))
+        else:
+            pairing.add_reference(at(k), REST if repeats else quadratic(at(k)))
+        answered += pairing.take()
+    expected = []
+    for k in samples:
+        age = min(k, lead)
+        if k - age in references:
+            reference = extrapolated(*quadratic(at(k - age)), age * T * 1e-9)
+            expected.append((at(k), (k,), reference, age * T))
+    assert answered == expected and pairing.waits is (len(answered) < len(samples))
 
 
 def test_in_real_time_the_newest_reference_is_used_until_it_is_too_old():
