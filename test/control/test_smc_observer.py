@@ -1,8 +1,8 @@
 """Law smc_observer: whole strokes, rest, its stiffness, its friction model and the fit of its size."""
 
 import math
-import random
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from straightcomp_ros.analysis.metrics import evaluate
-from straightcomp_ros.control.filters import FilterParameters, NotchParameters
 from straightcomp_ros.control.law import Law
 from straightcomp_ros.control.laws import (
     ControlParameters,
@@ -38,7 +37,8 @@ T = 5e-4
 SETTLE = 0.5
 
 
-def stroke(delay=0.5, friction=1.0, model="lugre", **control):
+@cache
+def stroke(friction, model="lugre", **control):
     """Record and metrics of a stroke whose plant has ``friction`` times the nominal friction."""
     values = shipped_parameters()
     values["controller"].update({f"control.{name}": value for name, value in control.items()})
@@ -46,8 +46,7 @@ def stroke(delay=0.5, friction=1.0, model="lugre", **control):
         # The machine's alone: the law believes the description.
         values["driver"][f"stage.{name}"] = friction * values["stage"][name]
     values["driver"]["simulated.truth.contact.model"] = model
-    values["stage"]["drive.delay"] = delay
-    values["stage"].update({"motion.stroke": 0.6, "motion.settle": SETTLE, "motion.pause": SETTLE})
+    values["stage"].update({"drive.delay": 0.5, "motion.stroke": 0.6, "motion.settle": SETTLE, "motion.pause": SETTLE})
     record, straightness = run_stroke(values)
     return record, evaluate(record, straightness)
 
@@ -59,7 +58,7 @@ def law(**design):
 @pytest.mark.no_cover  # whole strokes, which take three times as long under it
 @pytest.mark.parametrize("friction", [0.33, 1.0, 2.0])
 def test_a_stroke_with_unknown_friction_leaves_little_error_at_small_steps_of_the_current(friction):
-    metrics = stroke(friction=friction)[1]
+    metrics = stroke(friction)[1]
     assert metrics.true_pp < 0.2e-6 and metrics.true_rms < 0.026e-6
     assert metrics.control_rms_step < 5.5e-3
 
@@ -67,13 +66,13 @@ def test_a_stroke_with_unknown_friction_leaves_little_error_at_small_steps_of_th
 @pytest.mark.no_cover
 def test_where_the_friction_model_explains_little_the_law_is_stiffer_and_leaves_less_error():
     def changed(stiffening):
-        return stroke(model="maxwell_slip", **{"smc_observer.stiffening": stiffening})[1]
+        return stroke(1.0, "maxwell_slip", **{"smc_observer.stiffening": stiffening})[1]
 
     quiet, stiff = changed(1.0), changed(1.4)
     assert stiff.true_rms < 0.8 * quiet.true_rms
     assert stiff.control_rms_step > 2.0 * quiet.control_rms_step
     # With the model's friction the same stiffening is not used.
-    assert stroke()[1].control_rms_step < 1.1 * stroke(**{"smc_observer.stiffening": 1.0})[1].control_rms_step
+    assert stroke(1.0)[1].control_rms_step < 1.1 * stroke(1.0, **{"smc_observer.stiffening": 1.0})[1].control_rms_step
 
 
 @pytest.mark.parametrize(("misfit", "share"), [(0.0, 0.0), (1.0, 0.0), (1.25, 0.25), (2.0, 1.0), (50.0, 1.0)])
@@ -86,7 +85,7 @@ def test_the_law_stiffens_between_one_and_two_tolerated_misfits(misfit, share):
 
 
 def test_at_rest_the_command_is_held_and_leaving_rest_makes_no_step():
-    record, _ = stroke()
+    record, _ = stroke(1.0)
     steps, start, turn = np.abs(np.diff(record.current)), round(SETTLE / T), round(record.time.size / 2)
     # In the middle of the pause, which begins half of it before.
     assert not steps[start - 200 : start].any() and not steps[turn + 100 : turn + 300].any()
@@ -276,23 +275,6 @@ def test_between_its_gains_the_law_is_as_stable_as_with_the_worse_of_them_on_any
                 assert radius(between) <= worst + 2e-3
 
 
-@pytest.mark.parametrize("coulomb", [0.0, STAGE.friction.coulomb])
-@pytest.mark.parametrize(("frequency", "residue"), [(140.0, -0.05), (250.0, -0.2), (350.0, -0.1)])
-def test_a_law_beside_a_mode_does_not_go_over_to_gains_that_make_it_unstable(frequency, residue, coulomb):
-    mode = ModeParameters(frequency, 0.01, math.sqrt(-residue), -math.sqrt(-residue))
-    control = ControlParameters(filters=FilterParameters(first=NotchParameters(frequency, 0.3, 0.05)))
-    ringing = replace(
-        STAGE.with_modes(mode),
-        friction=replace(STAGE.friction, coulomb=coulomb, static=1.3 * coulomb),
-        uncertainty=replace(STAGE.uncertainty, friction=100.0),
-    )
-    own, plant = make_law(control, ringing), sampled_plant(ringing)
-    for size in (1e-12, 0.6, 0.8, 1.0):
-        taken = _stiffness(own.gains, size * own.gains.counting, 0.0)
-        made = Law(own.gains._replace(quiet=taken), own.start, step, compiled=True)
-        assert spectral_radius(closed_loop(plant, linearised(made))) < 1.0
-
-
 def test_margins_are_asked_of_each_state_that_the_law_may_take():
     mode = ModeParameters(350.0, 0.01, 0.3, -0.3)
     for rigid, friction, states in (
@@ -304,6 +286,9 @@ def test_margins_are_asked_of_each_state_that_the_law_may_take():
         own = STAGE if rigid else STAGE.with_modes(mode)
         described = replace(own, friction=friction, uncertainty=replace(STAGE.uncertainty, friction=100.0))
         assert set(states_of(ControlParameters(), described)) == states
+        # Beside a mode the law goes over to no gains whose margins are not asked for.
+        gains = make_law(ControlParameters(), described).gains
+        assert (gains.free == gains.slow == gains.quiet) is not rigid
     certain = replace(STAGE, uncertainty=replace(STAGE.uncertainty, friction=1.0))
     assert set(states_of(ControlParameters(), certain)) == {"quiet", "stiff"}
     assert set(states_of(ControlParameters(law="linear"), STAGE)) == {"quiet"}
@@ -473,14 +458,12 @@ def samples(count):
 START = fit_at_start(0.15)
 
 
-def fit_after(count, size, *, fit=START, constant=0.0, slope=0.0, noise=0.0, hertz_20=0.0):
+def fit_after(count, size, *, fit=START, constant=0.0, slope=0.0):
     """The fit to a disturbance of friction of ``size`` and others, with the law taking over what it fits."""
-    source = random.Random(1)
-    for k, (r, r_dot, unit) in enumerate(samples(count)):
+    for r, r_dot, unit in samples(count):
         friction = lagged(WEIGHTS, fit.lags, unit).third
-        others = constant + slope * r / GAINS.travel + hertz_20 * math.sin(2.0 * math.pi * 20.0 * k * T)
-        total = others + size * friction + source.gauss(0.0, noise)
-        fit = fitted(GAINS, WEIGHTS, fit, r, r_dot, unit, total - fit.size * friction)
+        others = constant + slope * r / GAINS.travel + (size - fit.size) * friction
+        fit = fitted(GAINS, WEIGHTS, fit, r, r_dot, unit, others)
     return fit
 
 
@@ -489,10 +472,9 @@ def test_the_observers_estimate_of_an_acceleration_has_two_lags_of_its_bandwidth
     gains, weights = np.array(observer_gains(BANDWIDTH, third, T)), WEIGHTS._replace(third=1.0 - POLE**third)
     step = np.array([[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]])
     estimate, plant, lags = np.zeros(3), np.zeros(3), Lags(0.0, 0.0, 0.0, 0.0, 0.0)
-    source = random.Random(2)
-    for _ in range(200):
+    for acceleration in np.random.default_rng(2).uniform(-1.0, 1.0, 200).tolist():
         estimate = estimate + gains * (plant[0] - estimate[0])
-        plant[2] = source.uniform(-1.0, 1.0)
+        plant[2] = acceleration
         lags = lagged(weights, lags, plant[2])
         assert estimate[2] == pytest.approx(lags.third, abs=1e-9)
         estimate, plant = step @ estimate, step @ plant
@@ -506,17 +488,6 @@ def test_the_size_of_friction_is_found_within_its_bounds_with_a_constant_and_an_
     else:
         assert fit.size == pytest.approx(size, rel=0.02)
         assert fit.constant == pytest.approx(0.05, abs=0.005) and fit.slope == pytest.approx(-0.08, abs=0.01)
-
-
-def test_noise_as_large_as_friction_moves_the_size_by_less_than_a_fifth():
-    assert fit_after(6000, 1.0, noise=0.25).size == pytest.approx(1.0, abs=0.2)
-
-
-def test_the_misfit_is_what_friction_of_any_size_does_not_explain():
-    explained, unexplained = fit_after(4000, 2.5, constant=0.1), fit_after(4000, 1.0, hertz_20=0.1)
-    assert math.sqrt(explained.misfit_square) < 0.005
-    # 20 Hz pass a smoothing of some 60 Hz nearly whole.
-    assert math.sqrt(unexplained.misfit_square) == pytest.approx(0.1 / math.sqrt(2.0), rel=0.1)
 
 
 def test_the_fit_is_recursive_least_squares_with_forgetting():
@@ -553,7 +524,7 @@ def test_while_the_reference_rests_the_fit_is_paused():
 
 def test_without_excitation_the_fit_neither_grows_beyond_bounds_nor_loses_the_size():
     fit = fit_after(2000, 1.0)
-    for _ in range(100_000):
+    for _ in range(30_000):
         fit = fitted(GAINS, WEIGHTS, fit, 0.0, 1e-3, 0.0, 0.0)
     assert fit.size == pytest.approx(1.0, rel=0.02)
     assert all(abs(number) < 20.0 for number in fit[:9])
