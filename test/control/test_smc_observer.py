@@ -115,28 +115,23 @@ def test_a_band_of_zero_never_holds_not_even_where_the_reading_is_the_reference(
     assert (state.rest.time > one.gains.wait) is holds
 
 
-@pytest.mark.parametrize("reading, r_dot", [(0.3e-6, 0.0), (-0.3e-6, 0.0), (0.0, 2e-7)])
-def test_a_reading_outside_the_band_and_a_moving_reference_end_the_hold(reading, r_dot):
+@pytest.mark.parametrize(
+    ("sample", "held_for", "free_from"),
+    [
+        (lambda k: (0.3e-6, 0.0, 0.0), 0, 0),
+        (lambda k: (-0.3e-6, 0.0, 0.0), 0, 0),
+        (lambda k: (0.0, 0.0, 2e-7), 0, 0),
+        # By a tenth of a count after 0.2 s; the next hold comes 0.1 s later.
+        (lambda k: (1e-7 * (k % 2), 5e-8 * T * k, 5e-8), 390, 410),
+        (lambda k: (0.15e-6, 0.0, 0.0), 190, 210),
+    ],
+    ids=["above the band", "below the band", "moving reference", "creeping reference", "slipped by over a count"],
+)
+def test_the_hold_ends_where_the_platform_or_its_reference_has_left_its_place(sample, held_for, free_from):
     servo = law()
-    commands = held(servo)
-    step = servo.step(reading, 0.0, r_dot, 0.0).current - commands[-1]
-    # The law acts against the error.
-    assert step and (not reading or math.copysign(1.0, step) == -math.copysign(1.0, reading))
-
-
-def test_a_reference_that_creeps_ends_the_hold_when_it_has_moved_by_a_tenth_of_a_count():
-    servo = law()
-    commands = held(servo)
-    crept = [servo.step(1e-7 * (k % 2), 5e-8 * T * k, 5e-8, 0.0).current for k in range(600)]
-    # After 0.2 s; the next hold comes 0.1 s later.
-    assert crept[:390] == [commands[-1]] * 390 and len(set(crept[410:])) > 100
-
-
-def test_a_platform_that_has_slipped_by_more_than_a_count_beside_the_reference_is_not_left_there():
-    servo = law()
-    commands = held(servo)
-    slipped = [servo.step(0.15e-6, 0.0, 0.0, 0.0).current for _ in range(300)]
-    assert slipped[:190] == [commands[-1]] * 190 and commands[-1] not in slipped[210:]
+    command = held(servo)[-1]
+    found = [servo.step(*sample(k), 0.0).current for k in range(free_from + 90)]
+    assert found[:held_for] == [command] * held_for and command not in found[free_from:]
 
 
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():

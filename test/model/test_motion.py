@@ -101,6 +101,7 @@ def test_the_motion_is_the_cubic_spline_through_its_points_and_the_limits_that_h
         assert found == pytest.approx([float(spline(t, order)) for order in range(3)], rel=1e-6, abs=1e-6)
     for t, *position_and_speed in points:
         assert [trajectory.position(t), trajectory.rates(t)[0]] == pytest.approx(position_and_speed, abs=1e-15)
+    assert trajectory.rates(times[0] * 1e9 - 1e3) == trajectory.rates(times[-1] * 1e9 + 1e3) == (0.0, 0.0)
     # It may be largest at a point, where the acceleration jumps.
     speed = np.abs(np.append(spline(np.linspace(times[0], times[-1], 100_001), 1), velocities)).max()
     cubes, squares = 6.0 * spline.c[0] * np.diff(times), 2.0 * spline.c[1]
