@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT
@@ -52,3 +53,20 @@ def report(node: str, stamp: int, **values: str) -> bytes:
     pairs = [STORE.types["diagnostic_msgs/msg/KeyValue"](key, value) for key, value in values.items()]
     status = STORE.types["diagnostic_msgs/msg/DiagnosticStatus"](0, node, "running", "", pairs)
     return bytes(STORE.serialize_cdr(STORE.types[REPORT](header(stamp), [status]), REPORT))
+
+
+def messages_of(bag: Path) -> list[Message]:
+    """All messages of a finished bag by time, as rosbags reads them, which knows no time of sending."""
+    with Reader(bag) as reader:
+        return [(one.topic, one.msgtype, bytes(data), time_ns, time_ns) for one, time_ns, data in reader.messages()]
+
+
+def by_rosbags(path: Path, messages: Iterable[Message]) -> Path:
+    """A bag of SQLite with these messages, as rosbags writes it."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, data, time_ns, _ in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            writer.write(connections[topic], time_ns, data)
+    return path

@@ -75,10 +75,24 @@ def record(opcode: int, content: bytes) -> bytes:
     return struct.pack("<BQ", opcode, len(content)) + content
 
 
-def mcap_of(*content: tuple[int, bytes]) -> bytes:
-    """A file with these records of the data section."""
-    parts = [(Opcode.HEADER, bytes(8)), *content, (Opcode.DATA_END, bytes(4)), (Opcode.FOOTER, bytes(20))]
-    return MAGIC + b"".join(record(*one) for one in parts) + MAGIC
+def chunk_of(data: bytes, compression: bytes = b"", size: int | None = None) -> tuple[int, bytes]:
+    """A chunk without a checksum: ``data`` are its records as they are stored, ``size`` is what it says of their length
+    when they are unpacked."""
+    head = struct.pack("<QQQII", 7, 7, len(data) if size is None else size, 0, len(compression)) + compression
+    return Opcode.CHUNK, head + struct.pack("<Q", len(data)) + data
+
+
+def chunk(*inside: tuple[int, bytes]) -> tuple[int, bytes]:
+    """A chunk with these records, without compression."""
+    return chunk_of(b"".join(record(*one) for one in inside))
+
+
+def mcap_of(*content: tuple[int, bytes], summary: bytes | None = None) -> bytes:
+    """A file with these records of the data section, and with this summary or none."""
+    parts = (Opcode.HEADER, bytes(8)), *content, (Opcode.DATA_END, bytes(4))
+    data = MAGIC + b"".join(record(*one) for one in parts)
+    footer = struct.pack("<QQI", 0 if summary is None else len(data), 0, 0)
+    return data + (summary or b"") + record(Opcode.FOOTER, footer) + MAGIC
 
 
 def add_streams(bag: BagWriter) -> None:

@@ -10,16 +10,15 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from mcap.opcode import Opcode
-from recording import LAYOUTS, add_streams, mcap_of, messages, record, recorded, records, write
+from recording import LAYOUTS, add_streams, chunk, chunk_of, mcap_of, messages, record, recorded, records, write
 from rosbags.rosbag2 import Reader
 from tiers import nightly
 
 from straightcomp_ros.bags import BagError, mcap_input, recovery
 from straightcomp_ros.bags.mcap_input import McapInput
-from straightcomp_ros.bags.reader import read_attachments, read_metadata, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.bags.writer import BagWriter
-from straightcomp_ros.contract import STREAMS
 
 
 def read_everything(path):
@@ -80,16 +79,19 @@ def test_a_bag_cut_off_anywhere_is_refused_or_read_and_recovered_up_to_the_cut(t
 
 
 @pytest.mark.parametrize("compression", ["zstd", "none", *nightly(["lz4"])])
-def test_a_flipped_bit_is_refused_or_without_effect(tmp_path, compression):
+def test_flipped_bits_are_refused_or_without_effect_and_bring_no_message_that_was_not_recorded(tmp_path, compression):
     bag = recorded(tmp_path / "run", 12, compression=compression, chunk_size=3000)
     content, whole = bag.file.read_bytes(), read_streams(bag.directory, LAYOUTS)
     others = {reader: reader(bag.file) for reader in (read_attachments, read_metadata)}
+    every = {(message.log_time, message.data) for message in bag.messages}
     flipped = tmp_path / "flipped.mcap"
     source = random.Random(11)
     refused = 0
-    for place in [*range(0, len(content), 53), *range(60), *range(len(content) - 45, len(content))]:
+    places = [*range(0, len(content), 53), *range(60), *range(len(content) - 45, len(content))]
+    for number, place in enumerate(places):
         damaged = bytearray(content)
-        damaged[place] ^= 1 << source.randrange(8)
+        for at in (place, *source.sample(range(8, len(content)), number % 3)):
+            damaged[at] ^= 1 << source.randrange(8)
         flipped.write_bytes(damaged)
         streams, warned = read(flipped)
         refused += streams is None
@@ -98,6 +100,10 @@ def test_a_flipped_bit_is_refused_or_without_effect(tmp_path, compression):
         for reader, expected in others.items():
             found, warned = read(flipped, reader)
             assert found in (None, expected) or warned
+        if number % 10 == 0 and place >= 8:
+            recover(flipped, tmp_path / f"new{number}")
+            with Reader(tmp_path / f"new{number}") as saved:
+                assert {(time_ns, bytes(data)) for _, time_ns, data in saved.messages()} <= every
     assert refused > 10
 
 
@@ -148,114 +154,36 @@ def test_a_killed_recording_loses_the_open_chunk_at_most(tmp_path):
     assert sum(len(message.data) for message in written[sum(map(len, streams.values())) :]) < 5000
 
 
-FRAME_SIZE = 9
-# Within a chunk: two times, size, CRC, the name of the compression.
-SIZE_AT, CRC_AT, NAME_AT = 16, 24, 32
-
-
-class Bag:
-    """The bytes of a bag, to be changed in places."""
-
-    def __init__(self, file):
-        self.file, self.content = file, bytearray(file.read_bytes())
-
-    def record(self, opcode, which=0):
-        """Offset of the ``which``-th record of this kind."""
-        return records(self.content, opcode)[which]
-
-    def add(self, offset, number, size=4):
-        value = int.from_bytes(self.content[offset : offset + size], "little") + number
-        self.content[offset : offset + size] = (value % 256**size).to_bytes(size, "little")
-
-    def without_crc(self, opcode, at):
-        """Zero, which means «not computed», in the place of a checksum."""
-        place = self.record(opcode) + FRAME_SIZE + at
-        self.content[place : place + 4] = bytes(4)
-        return self
-
-    def refusal(self, reader=read_everything):
-        """Where the damage is said to be, and what it is."""
-        self.file.write_bytes(self.content)
-        with warnings.catch_warnings(), pytest.raises(BagError) as refused:
-            warnings.simplefilter("error")
-            reader(self.file)
-        said = re.fullmatch(r"bag (.*) is damaged at byte (\d+): (.*); copy the bag again.*", str(refused.value))
-        assert said is not None and said[1] == str(self.file), refused.value
-        return int(said[2]), said[3]
-
-
-@pytest.fixture
-def bag(tmp_path):
-    return Bag(recorded(tmp_path / "run", 40, chunk_size=6000, compression="zstd").file)
-
-
+# Within a chunk: size, CRC, the end of its compression's name.
+SIZE_AT, CRC_AT, NAME_END_AT = 9 + 16, 9 + 24, 9 + 35
 UNKNOWN = r"a chunk cannot be unpacked \(compression is 'zstf': allowed are zstd, lz4 and none\)"
 NO_RECORD = "no record starts here, or it is longer than the file"
-LENGTH = r"a chunk has (\d+) bytes, not (\d+)"
-
-
-def _wrong(opcode, which, at, number, size=1):
-    """Add ``number`` to ``size`` bytes at ``at`` of a record, from its end if negative; returns the record's place."""
-
-    def change(bag):
-        place = bag.record(opcode, which)
-        (length,) = struct.unpack_from("<Q", bag.content, place + 1)
-        bag.add(place + at + (FRAME_SIZE + length if at < 0 else 0), number, size)
-        return place
-
-    return change
+LENGTH = r"a chunk has \d+ bytes, not \d+"
 
 
 @pytest.mark.parametrize(
-    ("compression", "change", "words"),
+    ("compression", "opcode", "at", "number", "words"),
     [
-        ("zstd", _wrong(Opcode.CHUNK, 1, FRAME_SIZE + CRC_AT, 1), "the checksum of a chunk is wrong"),
-        ("zstd", _wrong(Opcode.CHUNK, 0, FRAME_SIZE + NAME_AT + 3, 2), UNKNOWN),
-        ("zstd", _wrong(Opcode.CHUNK, 2, 1, 1 << 40, 8), NO_RECORD),
-        *(("zstd", _wrong(Opcode.CHUNK, 2, 0, opcode - Opcode.CHUNK), NO_RECORD) for opcode in (0x00, 0x10, 0x7F)),
-        ("zstd", _wrong(Opcode.ATTACHMENT, 0, -6, 1), "the checksum of an attachment is wrong"),
-        ("lz4", _wrong(Opcode.CHUNK, 2, FRAME_SIZE + SIZE_AT, 1), LENGTH),
-        ("none", _wrong(Opcode.CHUNK, 2, FRAME_SIZE + SIZE_AT, 1), LENGTH),
+        ("zstd", Opcode.CHUNK, CRC_AT, 1, "the checksum of a chunk is wrong"),
+        ("zstd", Opcode.CHUNK, NAME_END_AT, 2, UNKNOWN),
+        ("zstd", Opcode.CHUNK, 6, 1, NO_RECORD),
+        *(("zstd", Opcode.CHUNK, 0, opcode - Opcode.CHUNK, NO_RECORD) for opcode in (0x00, 0x10, 0x7F)),
+        ("zstd", Opcode.ATTACHMENT, -6, 1, "the checksum of an attachment is wrong"),
+        ("lz4", Opcode.CHUNK, SIZE_AT, 1, LENGTH),
+        ("none", Opcode.CHUNK, SIZE_AT, 1, LENGTH),
     ],
 )
-def test_damage_is_reported_with_its_byte_and_what_is_wrong_there(tmp_path, compression, change, words):
-    bag = Bag(recorded(tmp_path / "run", 40, chunk_size=6000, compression=compression).file)
-    place = change(bag)
-    where, said = bag.refusal(read_attachments if "attachment" in words else read_everything)
-    assert where == place and (found := re.fullmatch(words, said))
-    if words is LENGTH:
-        assert int(found[2]) == int(found[1]) + 1
-
-
-def test_an_applications_own_records_are_passed_over(bag):
-    start = bag.record(Opcode.CHUNK, 1)
-    bag.content[start:start] = struct.pack("<BQ", 0x80, 3) + b"own"
-    # The places in the summary are behind it now, and no reader needs them.
-    footer = bag.without_crc(Opcode.FOOTER, 16).record(Opcode.FOOTER)
-    bag.add(footer + FRAME_SIZE, FRAME_SIZE + 3, 8)
-    bag.file.write_bytes(bag.content)
-    assert len(read_streams(bag.file, LAYOUTS)["encoder"]) == 40
-
-
-def test_messages_outside_chunks_are_read_in_their_place(tmp_path):
-    bag = Bag(recorded(tmp_path / "run", 40, chunk_size=6000, compression="none").file)
-    whole = read_streams(bag.file, LAYOUTS)
-    for which in (0, 2):
-        chunk = bag.record(Opcode.CHUNK, which)
-        (length,) = struct.unpack_from("<Q", bag.content, chunk + 1)
-        # The name of no compression is empty, and the length of the records follows.
-        inside = bag.content[chunk + FRAME_SIZE + NAME_AT + 8 : chunk + FRAME_SIZE + length]
-        bag.content[chunk : chunk + FRAME_SIZE + length] = inside
-        footer = bag.without_crc(Opcode.FOOTER, 16).record(Opcode.FOOTER)
-        bag.add(footer + FRAME_SIZE, len(inside) - FRAME_SIZE - length, 8)
-    bag.without_crc(Opcode.DATA_END, 0).file.write_bytes(bag.content)
-    assert_whole(read_streams(bag.file, LAYOUTS), whole)
-
-
-def test_a_file_with_more_or_fewer_messages_than_its_statistics_say(bag):
-    count = 40 * len(STREAMS)
-    bag.add(bag.without_crc(Opcode.FOOTER, 16).record(Opcode.STATISTICS) + FRAME_SIZE, 5, 8)
-    assert bag.refusal() == (0, f"it holds {count} messages, and its statistics say {count + 5}")
+def test_damage_is_reported_with_its_byte_and_what_is_wrong_there(tmp_path, compression, opcode, at, number, words):
+    """``number`` is added to the byte ``at`` of a record, from its end if negative."""
+    file = recorded(tmp_path / "run", 40, chunk_size=6000, compression=compression).file
+    content = bytearray(file.read_bytes())
+    place = records(content, opcode)[-1]
+    (length,) = struct.unpack_from("<Q", content, place + 1)
+    changed = place + at + (9 + length if at < 0 else 0)
+    content[changed] = (content[changed] + number) % 256
+    file.write_bytes(content)
+    with pytest.raises(BagError, match=rf"^bag {file} is damaged at byte {place}: {words}; copy the bag again"):
+        (read_attachments if opcode == Opcode.ATTACHMENT else read_everything)(file)
 
 
 def test_a_file_is_closed_when_it_is_refused(tmp_path):
@@ -271,23 +199,31 @@ def test_a_file_is_closed_when_it_is_refused(tmp_path):
 CHANNEL = Opcode.CHANNEL, struct.pack("<HHI2sI3sI", 1, 0, 2, b"/x", 3, b"cdr", 0)
 
 
-@pytest.mark.parametrize(("length", "saved"), [(21, 0), (22, 1), (23, 1)])
-def test_the_shortest_message_is_one_without_data(tmp_path, length, saved):
-    # Channel, number and two times make 22 bytes.
-    path = tmp_path / "one.mcap"
-    path.write_bytes(mcap_of(CHANNEL, (Opcode.MESSAGE, b"\1\0" + bytes(length - 2))))
-    result = recover(path, tmp_path / "new")
-    assert (result.saved.total(), len(result.gaps)) == (saved, 1 - saved)
-
-
 def loose(channel, data=b""):
     return Opcode.MESSAGE, struct.pack("<HIQQ", channel, 0, 7, 7) + data
 
 
-def unchecked(*inside):
-    """A chunk without compression and without a checksum."""
-    data = b"".join(record(*one) for one in inside)
-    return Opcode.CHUNK, struct.pack("<QQQIIQ", 7, 7, len(data), 0, 0, len(data)) + data
+SHORT = Opcode.MESSAGE, b"\1" + bytes(20)
+"""A message needs 22 bytes: channel, number and two times."""
+
+
+def test_an_applications_own_records_are_passed_over(tmp_path):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(mcap_of((0x80, b"own"), CHANNEL, chunk(loose(1)), (0xFF, b""), chunk(loose(1))))
+    assert len(read_messages(path, "/x").data) == 2
+    result = recover(path, tmp_path / "new")
+    assert result.whole and result.saved == {"/x": 2}
+
+
+@pytest.mark.parametrize("said", [2, 4, 8])
+def test_statistics_with_another_number_of_messages_refuse_a_file_and_count_no_negative_loss(tmp_path, said):
+    path = tmp_path / "run.mcap"
+    statistics = struct.pack("<QHIIIIQQIHQ", said, 0, 1, 0, 0, 0, 7, 7, 10, 1, said)
+    path.write_bytes(mcap_of(CHANNEL, *[loose(1)] * 3, summary=record(Opcode.STATISTICS, statistics)))
+    with pytest.raises(BagError, match=f"at byte 0: it holds 3 messages, and its statistics say {said};"):
+        read_messages(path, "/x")
+    result = recover(path, tmp_path / "new")
+    assert (result.saved, result.lost, result.whole) == ({"/x": 3}, {"/x": max(said - 3, 0)}, False)
 
 
 def test_messages_outside_chunks_are_taken_in_blocks_with_their_places(tmp_path, monkeypatch):
@@ -295,7 +231,7 @@ def test_messages_outside_chunks_are_taken_in_blocks_with_their_places(tmp_path,
     path = tmp_path / "loose.mcap"
     # Of 41 bytes each; a chunk among them is a block of its own.
     messages = [loose(1, bytes([number] * 10)) for number in range(7)]
-    path.write_bytes(mcap_of(CHANNEL, *messages[:4], unchecked(messages[4]), *messages[5:]))
+    path.write_bytes(mcap_of(CHANNEL, *messages[:4], chunk(messages[4]), *messages[5:]))
     with McapInput(path) as file:
         blocks = list(file.blocks(["/x"]))
     assert [places["/x"].tolist() for _, places in blocks] == [[0, 41, 82], [0], [0], [0, 41]]
@@ -306,15 +242,15 @@ def test_messages_outside_chunks_are_taken_in_blocks_with_their_places(tmp_path,
     ("wrong", "words", "here", "saved"),
     [
         (loose(9), "it has messages of a channel 9 that it does not describe", False, 2),
-        ((Opcode.MESSAGE, b"\1\0"), "a message is too short", True, 2),
-        (unchecked(loose(9)), "it has messages of a channel 9 that it does not describe", False, 2),
-        (unchecked(loose(1), (Opcode.MESSAGE, b"\1\0")), "a message is too short", True, 3),
+        (SHORT, "a message is too short", True, 2),
+        (chunk(loose(9)), "it has messages of a channel 9 that it does not describe", False, 2),
+        (chunk(loose(1), SHORT), "a message is too short", True, 3),
     ],
 )
 def test_a_message_that_cannot_be_one_is_damage_where_it_stands_and_the_others_are_saved(
     tmp_path, wrong, words, here, saved
 ):
-    path, good = tmp_path / "run.mcap", unchecked(loose(1, b"abcd"))
+    path, good = tmp_path / "run.mcap", chunk(loose(1))
     content = mcap_of(CHANNEL, good, wrong, good)
     path.write_bytes(content)
     place = content.index(record(*wrong))
@@ -330,9 +266,9 @@ def test_a_message_that_cannot_be_one_is_damage_where_it_stands_and_the_others_a
 def test_behind_a_record_of_a_wrong_length_the_next_sound_chunk_is_found_wherever_it_starts(tmp_path, monkeypatch):
     wrong = bytearray(record(Opcode.METADATA, struct.pack("<I1sI", 1, b"a", 0)))
     wrong[1] += 3  # into the next record
-    good = unchecked(loose(1, b"abcd"))
+    good = chunk(loose(1))
     # What looks like chunks: one is longer than the file, another is of an unknown compression.
-    noise = bytes([6]) * 20 + record(Opcode.CHUNK, struct.pack("<QQQII2sQs", 0, 0, 1, 0, 2, b"xz", 1, b"x"))
+    noise = bytes([6]) * 20 + record(*chunk_of(b"x", b"xz"))
     content = mcap_of(CHANNEL, good, good)
     place = content.index(record(*good)) + len(record(*good))
     path = tmp_path / "run.mcap"
@@ -359,14 +295,11 @@ def test_a_disk_that_does_not_read_is_named_with_the_byte(tmp_path, place):
 
 
 @pytest.mark.parametrize(
-    ("summary", "finished"), [(b"", True), (record(Opcode.STATISTICS, b"x"), False), (b"\x0b", False)]
+    ("summary", "finished"), [(None, True), (b"", True), (record(Opcode.STATISTICS, b"x"), False), (b"\x0b", False)]
 )
 def test_a_file_whose_summary_cannot_be_read_was_not_finished(tmp_path, summary, finished):
-    content = mcap_of(CHANNEL, loose(1, b"abcd"))
-    start = len(content) - 8 - 29
-    footer = record(Opcode.FOOTER, struct.pack("<QQI", start, 0, 0))
     path = tmp_path / "run.mcap"
-    path.write_bytes(content[:start] + summary + footer + content[-8:])
+    path.write_bytes(mcap_of(CHANNEL, loose(1, b"abcd"), summary=summary))
     with McapInput(path) as file:
         assert file.finished is finished
         assert [places["/x"].tolist() for _, places in file.blocks(["/x"])] == [[0]]

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_of_rows import STORE, bag_of, header
+from bag_of_rows import STORE, bag_of, by_rosbags, header
 from mcap.opcode import Opcode
-from recording import LAYOUTS, START_NS, record, recorded
+from recording import LAYOUTS, START_NS, Recording, record, recorded
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, folder
 from straightcomp_ros.bags import reader as columns
 from straightcomp_ros.bags.reader import StreamColumns, StreamDecoder, read_messages, read_streams, values_at
 from straightcomp_ros.bags.topics import Topic
@@ -49,9 +49,16 @@ def without_layouts(monkeypatch):
     return decoded
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(tmp_path, compression, without_layouts):
-    bag = recorded(tmp_path / "run", 300, compression=compression, chunk_size=9000)
+@pytest.mark.parametrize("storage", ["zstd", "lz4", "none", "sqlite3"])
+def test_every_stream_comes_back_as_rosbags_decodes_it_to_the_last_bit(tmp_path, storage, without_layouts, monkeypatch):
+    monkeypatch.setattr(folder, "_AT_ONCE", 70)
+    options = {"compression": storage, "chunk_size": 9000} if storage != "sqlite3" else {}
+    bag = recorded(tmp_path / "run", 300, **options)
+    if storage == "sqlite3":
+        written = [message._replace(publish_time=message.log_time) for message in bag.messages]
+        kinds = {f"/{stream.topic}": stream.layout.type_name for stream in STREAMS}
+        by_rosbags(tmp_path / "theirs", ((topic, kinds[topic], *message) for topic, *message in written))
+        bag = Recording(tmp_path / "theirs", written)
     streams = read_streams(bag.directory, LAYOUTS)
     assert list(streams) == list(LAYOUTS)
     assert not without_layouts

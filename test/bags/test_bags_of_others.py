@@ -1,6 +1,5 @@
 """Bags as other writers make them: every verb reads them with the values of the plain bag, or refuses them by name."""
 
-import shutil
 import struct
 import zlib
 from pathlib import Path
@@ -15,18 +14,14 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from places import SMC
-from recording import LAYOUTS, described, mcap_of, messages, records, sqlite_bag
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as SqliteWriter
+from recording import LAYOUTS, chunk_of, described, mcap_of, records, sqlite_bag
 
 from straightcomp_ros.analysis.evaluation import evaluate_bag
 from straightcomp_ros.bags import PARAMETERS_ATTACHMENT, BagError
-from straightcomp_ros.bags import reader as columns
 from straightcomp_ros.bags.fields import Field, read_field
 from straightcomp_ros.bags.reader import read_attachments, read_messages, read_metadata, read_streams
 from straightcomp_ros.bags.recovery import recover
-from straightcomp_ros.contract import ENCODER, STREAMS
-from straightcomp_ros.fleet.history.bag_places import bags_in
+from straightcomp_ros.contract import ENCODER
 from straightcomp_ros.offline.audit import audit
 
 SAMPLE = next(SMC.glob("*.mcap"))
@@ -64,14 +59,6 @@ def sample(whole_run) -> list[One]:
             counts[one.topic] += 1
             found.append(one)
     return found
-
-
-@pytest.fixture
-def parameters_file(tmp_path) -> Path:
-    """What the sample bag has of its nodes' parameters."""
-    file = tmp_path / "parameters.yaml"
-    file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
-    return file
 
 
 def written(
@@ -124,19 +111,18 @@ READ_AS_IT_IS = {
 @pytest.mark.parametrize("kind", READ_AS_IT_IS)
 def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole(sample, tmp_path, kind):
     bag = written(sample, tmp_path / "b" / "b_0.mcap", **READ_AS_IT_IS[kind]).parent
-    streams = read_streams(bag, LAYOUTS)
-    for topic, layout in LAYOUTS.items():
-        own = [one for one in sample if one.topic == f"/{topic}"]
-        assert streams[topic].log_time.tolist() == [one.log_time for one in own]
-        expected = np.array([layout.unpack(one.data)[1] for one in own]).T
-        assert np.array(list(streams[topic].columns.values())).tobytes() == expected.tobytes()
     found = audit(bag)
     assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
     assert evaluate_bag(bag).received_samples == CYCLES
     result = recover(bag, tmp_path / "new")
     assert result.whole and result.saved.total() == len(sample) and not any((result.lost or {}).values())
-    again = audit(tmp_path / "new")
-    assert (again.commands, again.different) == (CYCLES, 0)
+    for one in (bag, tmp_path / "new"):
+        streams = read_streams(one, LAYOUTS)
+        for topic, layout in LAYOUTS.items():
+            own = [message for message in sample if message.topic == f"/{topic}"]
+            assert streams[topic].log_time.tolist() == [message.log_time for message in own]
+            expected = np.array([layout.unpack(message.data)[1] for message in own]).T
+            assert np.array(list(streams[topic].columns.values())).tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("kind", ["no definitions", "ros2idl", "no slash", "three channels"])
@@ -199,18 +185,6 @@ def test_a_flipped_bit_that_only_the_checksum_of_the_data_section_covers_is_foun
     ((name, *place, words),) = result.gaps
     assert (name, place) == (path.name, [0, 0]) and "checksum" in words
     assert not result.whole and result.saved.total() == len(sample)
-
-
-def test_statistics_that_count_too_few_are_no_negative_loss(sample, tmp_path):
-    path = written(sample, tmp_path / "b_0.mcap", enable_crcs=False)
-    content = bytearray(path.read_bytes())
-    place = records(content, Opcode.STATISTICS)[0] + 9
-    content[place : place + 8] = (len(sample) - 10).to_bytes(8, "little")
-    counts = place + 8 + 2 + 4 * 4 + 16 + 4
-    content[counts + 2 : counts + 10] = (CYCLES - 10).to_bytes(8, "little")
-    path.write_bytes(content)
-    result = recover(path, tmp_path / "new")
-    assert min(result.lost.values()) == 0 and not result.whole and result.saved.total() == len(sample)
 
 
 # SQLite
@@ -284,20 +258,6 @@ def test_a_type_that_the_bag_does_not_describe_is_named(tmp_path, text):
         read_field(bag, Field("/probe", "point.y"))
 
 
-@pytest.mark.parametrize("missing", [0, 3])
-def test_a_split_sqlite_bag_without_one_of_its_files_is_refused_by_every_verb(sample, tmp_path, missing, verb):
-    bag, names = tmp_path / "b", [f"b_{number}.db3" for number in range(4)]
-    bag.mkdir()
-    for number, name in enumerate(names):
-        sqlite_of(bag / name, sample[number * 1200 : (number + 1) * 1200])
-    described(bag, relative_file_paths=names)
-    assert evaluate_bag(bag).received_samples == CYCLES
-    (bag / names[missing]).unlink()
-    for words in (["evaluate"], ["map", "build", "-o", tmp_path / "m.csv"], ["history", "add", "-o", tmp_path / "s"]):
-        found = verb(*words, bag)
-        assert found.code != 0 and f"lacks {names[missing]}" in " ".join(found.err.split())
-
-
 def test_a_topic_that_an_sqlite_bag_has_twice_is_read_in_the_order_of_time(sample, tmp_path):
     own = [one for one in sample if one.topic == "/encoder"]
     rows = [("/encoder" + "+" * (number % 2), one.log_time, one.data) for number, one in enumerate(own)]
@@ -313,47 +273,27 @@ def test_an_sqlite_bag_of_a_recorder_that_was_killed_in_motion_is_interrupted(wh
     assert verb("evaluate", described(tmp_path), "--json").json["verdict"] == "in_order"
 
 
+def test_an_sqlite_bag_without_our_topics_is_refused_with_those_that_it_has_and_so_is_a_damaged_one(sample, tmp_path):
+    path = sqlite_of(tmp_path / "b_0.db3", sample[:400])
+    with pytest.raises(BagError, match="is stored as sqlite3; this needs MCAP"):
+        recover(path, tmp_path / "new")
+    with pytest.raises(BagError, match=r"has no messages on nothing; its topics are /command, "):
+        read_streams(path, {"nothing": LAYOUTS["encoder"]})
+    content = path.read_bytes()
+    path.write_bytes(content[:2000] + b"\xff" * 5000 + content[7000:])
+    with pytest.raises(BagError, match="is no SQLite bag of rosbag2, or is damaged"):
+        read_streams(path, LAYOUTS)
+
+
 def test_an_sqlite_bag_with_another_number_of_messages_than_it_says_is_refused(sample, tmp_path):
-    names = {"relative_file_paths": [sqlite_of(tmp_path / "b_0.db3", sample).name]}
+    parts = {"b_0.db3": sample[:1000], "b_1.db3": sample[1000:]}
+    names = {"relative_file_paths": [sqlite_of(tmp_path / name, part).name for name, part in parts.items()]}
     assert len(read_streams(described(tmp_path, message_count=len(sample), **names), LAYOUTS)["encoder"]) == CYCLES
     with pytest.raises(BagError, match=f"{len(sample)} messages are there, and metadata.yaml says {len(sample) + 5}"):
         read_streams(described(tmp_path, message_count=len(sample) + 5, **names), LAYOUTS)
 
 
-def test_the_clock_of_a_recorder_that_is_set_back_leaves_an_sqlite_bag_its_order(
-    whole_run, tmp_path, parameters_file, verb
-):
-    back_from = whole_run[0].log_time + 10**9
-    set_back = [one._replace(log_time=one.log_time - 300_000_000 * (one.log_time > back_from)) for one in whole_run]
-    sqlite_of(tmp_path / "b_0.db3", set_back)
-    for words in (["evaluate"], ["replay", "--params-file", parameters_file]):
-        assert verb(*words, described(tmp_path)).code == 0
-
-
-# Files and recordings
-
-
-def test_the_files_of_a_split_bag_are_one_recording_in_its_order(sample, tmp_path):
-    bag = tmp_path / "b"
-    step = -(-len(sample) // 12)
-    for number in range(12):
-        part = sample[number * step : (number + 1) * step]
-        written(part, bag / f"{number}_run_2025_12_17-10_{number:02}_00.mcap", parameters=not number)
-    found = audit(bag)
-    assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
-    assert [place.location for place in bags_in(str(tmp_path))] == [str(bag)]
-
-
-def test_two_recordings_in_a_folder_are_two_bags_of_the_history_and_no_bag_of_another_verb(sample, tmp_path, verb):
-    for name in ("a_run.mcap", "z_run.mcap"):
-        written(sample, tmp_path / "b" / name)
-    for name in ("evaluate", "replay", "recover"):
-        found = verb(name, tmp_path / "b")
-        assert found.code != 0 and "a_run.mcap" in found.err and "z_run.mcap" in found.err
-    assert [Path(place.location).name for place in bags_in(str(tmp_path))] == ["a_run.mcap", "z_run.mcap"]
-    for name in ("a_1.mcap", "a_2.mcap"):
-        shutil.copy(tmp_path / "b" / "a_run.mcap", tmp_path / "b" / name)
-    assert [Path(place.location).name for place in bags_in(str(tmp_path))] == ["b"]
+# Verbs
 
 
 def test_the_history_takes_other_names_of_topics(sample, tmp_path, verb):
@@ -363,7 +303,9 @@ def test_the_history_takes_other_names_of_topics(sample, tmp_path, verb):
         assert verb("history", "add", bag, "-o", tmp_path / "store", "--json", *options).json["added"] == added
 
 
-def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, parameters_file, verb):
+def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, verb):
+    parameters_file = tmp_path / "parameters.yaml"
+    parameters_file.write_bytes(read_attachments(SAMPLE)[PARAMETERS_ATTACHMENT])
     bag = written(sample, tmp_path / "b_0.mcap", parameters=False)
     assert verb("replay", bag).code != 0
     found = verb("replay", bag, "--params-file", parameters_file, "--json")
@@ -374,21 +316,16 @@ def test_replay_takes_the_parameters_of_a_bag_that_has_none(sample, tmp_path, pa
 # Sizes that records declare
 
 
-def chunk_of(compression: bytes, data: bytes, size: int) -> tuple[int, bytes]:
-    fields = struct.pack("<QQQII", 0, 1, size, 0, len(compression)) + compression
-    return Opcode.CHUNK, fields + struct.pack("<Q", len(data)) + data
-
-
 HUGE = 1 << 60
 UNSIZED = zstandard.ZstdCompressor(write_content_size=False)
 ZEROS = zstandard.compress(bytes(10_000))
 SIZES = {
-    "zstd of an impossible size": chunk_of(b"zstd", UNSIZED.compress(b"x"), HUGE),
-    "frame of more than its chunk": chunk_of(b"zstd", ZEROS, 3),
-    "lz4 of more than its chunk": chunk_of(b"lz4", lz4.frame.compress(bytes(10_000_000)), 3),
-    "lz4 of an impossible size": chunk_of(b"lz4", lz4.frame.compress(b"x"), HUGE),
-    "unknown compression": chunk_of(b"xz", b"abc", 3),
-    "none of an impossible size": chunk_of(b"", b"abc", HUGE),
+    "zstd of an impossible size": chunk_of(UNSIZED.compress(b"x"), b"zstd", HUGE),
+    "frame of more than its chunk": chunk_of(ZEROS, b"zstd", 3),
+    "lz4 of more than its chunk": chunk_of(lz4.frame.compress(bytes(10_000_000)), b"lz4", 3),
+    "lz4 of an impossible size": chunk_of(lz4.frame.compress(b"x"), b"lz4", HUGE),
+    "unknown compression": chunk_of(b"abc", b"xz", 3),
+    "none of an impossible size": chunk_of(b"abc", b"", HUGE),
     "a chunk's data": (Opcode.CHUNK, struct.pack("<QQQIIQ", 0, 1, 3, 0, 0, HUGE) + b"abc"),
     "an attachment's data": (Opcode.ATTACHMENT, struct.pack("<QQIIQ", 0, 0, 0, 0, HUGE) + b"abc"),
     "a metadata's name": (Opcode.METADATA, struct.pack("<I", 0xFFFFFFFF) + b"abc"),
@@ -400,8 +337,7 @@ SIZES = {
 @pytest.mark.parametrize("compression", [b"zstd", b"lz4"])
 def test_a_chunk_without_a_byte_is_passed_over_whatever_its_compression(tmp_path, compression):
     path = tmp_path / "b.mcap"
-    head = struct.pack("<QQQI", 0, 0, 0, 0) + struct.pack("<I", len(compression)) + compression
-    path.write_bytes(mcap_of((Opcode.CHUNK, head + bytes(8))))
+    path.write_bytes(mcap_of(chunk_of(b"", compression)))
     with pytest.raises(BagError, match="has no messages"):
         read_streams(path, LAYOUTS)
 
@@ -416,42 +352,3 @@ def test_a_declared_size_that_cannot_be_is_a_sentence(tmp_path, what, verb):
             read()
         except BagError as error:
             assert str(path) in str(error)
-
-
-@pytest.fixture
-def bag(tmp_path):
-    with SqliteWriter(tmp_path / "other", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connections = {
-            f"/{topic}": writer.add_connection(f"/machine/{topic}", layout.type_name, typestore=STORE)
-            for topic, layout in LAYOUTS.items()
-        }
-        for message in messages(7000):
-            writer.write(connections[message.topic], message.log_time, message.data)
-    return tmp_path / "other"
-
-
-def test_its_streams_come_back_to_the_bit_and_by_the_fast_path(bag, monkeypatch):
-    monkeypatch.setattr(columns, "read_by_names", None)
-    streams = read_streams(bag, LAYOUTS)
-    for stream in STREAMS:
-        own = [message for message in messages(7000) if message.topic == f"/{stream.topic}"]
-        expected = np.array([stream.layout.unpack(message.data)[1] for message in own])
-        found = np.array(list(streams[stream.topic].columns.values())).T
-        assert found.tobytes() == expected.tobytes()
-        assert streams[stream.topic].log_time.tolist() == [message.log_time for message in own]
-    assert read_attachments(bag) == {}
-
-
-def test_a_damaged_file_is_refused(bag):
-    path = next(bag.glob("*.db3"))
-    content = path.read_bytes()
-    path.write_bytes(content[:2000] + b"\xff" * 5000 + content[7000:])
-    with pytest.raises(BagError, match="is no SQLite bag of rosbag2, or is damaged"):
-        read_streams(bag, LAYOUTS)
-
-
-def test_a_bag_without_our_topics_is_refused_with_those_that_it_has_and_none_is_recovered(bag, tmp_path):
-    with pytest.raises(BagError, match="is stored as sqlite3; this needs MCAP"):
-        recover(bag, tmp_path / "new")
-    with pytest.raises(BagError, match=r"has no messages on nothing; its topics are /machine/command"):
-        read_streams(bag, {"nothing": LAYOUTS["encoder"]})

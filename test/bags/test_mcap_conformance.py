@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
-from recording import mcap_of, record
+from recording import chunk, mcap_of
 from tiers import nightly
 
 from straightcomp_ros.bags.mcap_input import McapInput
@@ -81,9 +81,7 @@ def test_bytes_behind_the_fields_of_a_record_are_of_a_later_version(tmp_path, ch
     metadata = text(3, b"foo") + struct.pack("<I", 14) + text(3, b"key") + text(3, b"bar")
     described = [(Opcode.SCHEMA, schema + pad), (Opcode.CHANNEL, channel + pad)]
     message = (Opcode.MESSAGE, b"\1" + bytes(23))
-    inside = b"".join(record(*one) for one in (*described, message))
-    chunk = struct.pack("<QQQIIQ", 0, 0, len(inside), zlib.crc32(inside), 0, len(inside)) + inside
-    messages = [(Opcode.CHUNK, chunk)] if chunked else [*described, message]
+    messages = [chunk(*described, message)] if chunked else [*described, message]
     path = tmp_path / "padded.mcap"
     path.write_bytes(mcap_of(*messages, (Opcode.ATTACHMENT, attached + pad), (Opcode.METADATA, metadata + pad)))
     result = recover(path, tmp_path / "new")

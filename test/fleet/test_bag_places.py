@@ -48,13 +48,24 @@ def test_a_file_that_vanishes_while_its_folder_is_listed_hides_no_other(tmp_path
     assert [place.location for place in bags_in(str(tmp_path))] == [str(tmp_path / "there.mcap")]
 
 
-@pytest.mark.parametrize("own", [["run_0.mcap"], ["run.mcap", "metadata.yaml"], ["run.mcap"]])
-def test_a_bag_hides_none_in_the_folders_below_it(tmp_path, own):
+@pytest.mark.parametrize(
+    ("own", "bags"),
+    [
+        (["run_0.mcap"], ["."]),
+        (["run.mcap", "metadata.yaml"], ["."]),
+        (["run.mcap"], ["run.mcap"]),
+        ([f"{number}_run_2025_12_17-10_{number:02}_00.mcap" for number in range(12)], ["."]),
+        (["a_run.mcap", "z_run.mcap"], ["a_run.mcap", "z_run.mcap"]),
+        # Of two recordings, one of which is split: a bag that is refused when it is added.
+        (["a_1.mcap", "a_2.mcap", "z_run.mcap"], ["."]),
+    ],
+)
+def test_the_files_of_one_recording_are_a_bag_that_hides_none_in_the_folders_below_it(tmp_path, own, bags):
     for name in (*own, "one/metadata.yaml", "one/one_0.mcap", "one/two/two.mcap"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
     found = [os.path.relpath(place.location, tmp_path) for place in bags_in(str(tmp_path))]
-    assert found == ["run.mcap" if own == ["run.mcap"] else ".", "one", "one/two/two.mcap"]
+    assert found == [*bags, "one", "one/two/two.mcap"]
 
 
 def test_a_folder_that_may_not_be_listed_hides_no_other_and_the_one_that_is_named_is_an_error(tmp_path, monkeypatch):
