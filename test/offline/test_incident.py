@@ -12,14 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_of_rows import STORE
+from bag_of_rows import by_rosbags, messages_of
 from places import SMC
 from rewritten_bag import rewritten
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as SqliteWriter
 from tiers import nightly
 
-from straightcomp_ros.bags.reader import read_attachments, read_messages, read_streams
+from straightcomp_ros.bags.reader import read_attachments, read_streams
 from straightcomp_ros.bags.recovery import recover
 from straightcomp_ros.contract import ENCODER, STREAMS
 from straightcomp_ros.doctor import Finding
@@ -95,13 +93,9 @@ def test_the_bag_of_an_incident_is_the_recording_itself_where_nothing_is_left_ou
 @pytest.fixture(scope="module")
 def in_a_log(tmp_path_factory):
     """The sample run as a bag of SQLite, nearly all of whose messages are still in the log beside its file."""
-    bag = tmp_path_factory.mktemp("sqlite") / "run"
-    with SqliteWriter(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        for stream in STREAMS:
-            connection = writer.add_connection(f"/{stream.topic}", stream.layout.type_name, typestore=STORE)
-            messages = read_messages(SMC, stream.topic)
-            for time_ns, data in zip(messages.log_time, messages.data, strict=True):
-                writer.write(connection, time_ns, data)
+    ours = {f"/{stream.topic}" for stream in STREAMS}
+    messages = (message for message in messages_of(SMC) if message[0] in ours)
+    bag = by_rosbags(tmp_path_factory.mktemp("sqlite") / "run", messages)
     with closing(sqlite3.connect(next(bag.glob("*.db3")))) as file:
         file.execute("PRAGMA journal_mode = WAL")
         file.execute("PRAGMA wal_autocheckpoint = 0")

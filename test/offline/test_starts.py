@@ -43,13 +43,6 @@ def test_starts_differ_in_the_error_and_the_first_is_the_single_run():
     assert len({metrics.true_pp for metrics in found}) == 3
 
 
-def test_what_the_compiled_loop_does_not_model_is_simulated_from_each_start():
-    learning = {**SHORT, "controller": {"learning.learn": True, "control.law": "smc"}}
-    compiled = {**SHORT, "controller": {"control.law": "smc"}}
-    found = ([evaluate(*run) for run in runs_of_starts(values, 2)] for values in (learning, compiled))
-    assert next(found) == next(found)
-
-
 def test_simulate_prints_median_and_range_of_the_starts(verb):
     words = ["simulate", "--starts", "3", *(f"--set=stage.{name}={value}" for name, value in SHORT["stage"].items())]
     printed = verb(*words, "--json").json
