@@ -28,3 +28,9 @@ def strokes_of(store):
     """The strokes of a store as rows, each with its stage, in one order."""
     columns = "stage, checksum, stroke, start, encoder_pp_um, error_bins_um"
     return Store(str(store)).query(f"SELECT {columns} FROM strokes ORDER BY checksum, stroke").to_pylist()
+
+
+def reasons_of(store):
+    """Why bags were refused, in the order of their places."""
+    rows = Store(str(store)).query("SELECT reason FROM refused ORDER BY location").to_pylist()
+    return [row["reason"] for row in rows]

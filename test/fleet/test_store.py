@@ -12,10 +12,10 @@ import fsspec
 import pyarrow.dataset
 import pyarrow.parquet
 import pytest
+from bag_of_rows import by_rosbags, messages_of
 from generated_bags import write_bag
 from places import BAGS, SMC
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from stores import COUNT, added, files_of, strokes_of
+from stores import COUNT, added, files_of, reasons_of, strokes_of
 from tiers import nightly
 
 from straightcomp_ros.fleet.history import HistoryError, adding
@@ -163,17 +163,12 @@ def test_a_copy_of_a_bag_adds_a_place_and_no_strokes_and_a_bag_keeps_its_name(tm
 
 def test_a_sqlite_bag_is_refused_until_its_recorder_has_described_it_at_last(tmp_path):
     bag, store = tmp_path / "run", tmp_path / "store"
-    with Reader(SMC) as reader, Writer(bag, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        topics = {}
-        for one in reader.connections:
-            topics[one.topic] = writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, rihs01=one.digest)
-        for one, time_ns, data in reader.messages():
-            writer.write(topics[one.topic], time_ns, data)
+    by_rosbags(bag, messages_of(SMC))
     metadata = bag / "metadata.yaml"
     text = metadata.read_text()
     metadata.unlink()
     assert added(store, bag).refused == 1
-    reason = Store(str(store)).query("SELECT reason FROM refused").to_pylist()[0]["reason"]
+    (reason,) = reasons_of(store)
     assert "was not finished" in reason and "ros2 bag reindex" in reason
     metadata.write_text(text)
     assert added(store, bag).added == 1 and len(strokes_of(store)) == 2
@@ -192,7 +187,7 @@ def test_a_split_bag_is_refused_until_its_last_file_the_metadata_has_been_copied
     for file in files[:there]:
         shutil.copy(file, bag)
     assert len(files) > there and added(store, bag).refused == 1
-    reason = Store(str(store)).query("SELECT reason FROM refused").to_pylist()[0]["reason"]
+    (reason,) = reasons_of(store)
     assert "was not finished" in reason and "ros2 bag reindex" in reason
     for file in (*files[there:], whole / "metadata.yaml"):
         shutil.copy(file, bag)
@@ -223,7 +218,7 @@ def test_a_bag_that_cannot_be_read_or_meets_an_error_of_ours_is_refused_and_trie
         patch.setattr(adding, name, Mock(side_effect=error))
         assert added(tmp_path, SMC).refused == 1
     store, place = Store(str(tmp_path)), next(bags_in(str(SMC)))
-    assert reason in store.query("SELECT reason FROM refused").to_pylist()[0]["reason"]
+    assert reason in reasons_of(tmp_path)[0]
     if isinstance(error, OSError):
         assert not store.has(place) and added(tmp_path, SMC).added == 1
         assert store.has(place)
