@@ -109,7 +109,9 @@ READ_AS_IT_IS = {
 
 
 @pytest.mark.parametrize("kind", READ_AS_IT_IS)
-def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole(sample, tmp_path, kind):
+def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole_or_as_far_as_it_goes(
+    sample, tmp_path, kind
+):
     bag = written(sample, tmp_path / "b" / "b_0.mcap", **READ_AS_IT_IS[kind]).parent
     found = audit(bag)
     assert (found.commands, found.different, found.unverified) == (CYCLES, 0, 0)
@@ -123,17 +125,12 @@ def test_a_bag_of_another_writer_gives_the_same_commands_and_comes_back_whole(sa
             assert streams[topic].log_time.tolist() == [message.log_time for message in own]
             expected = np.array([layout.unpack(message.data)[1] for message in own]).T
             assert np.array(list(streams[topic].columns.values())).tobytes() == expected.tobytes()
-
-
-@pytest.mark.parametrize("kind", ["no definitions", "ros2idl", "no slash", "three channels"])
-def test_of_such_a_bag_that_was_cut_off_all_whole_messages_are_saved(sample, tmp_path, kind):
-    path = written(sample, tmp_path / "b" / "b_0.mcap", **READ_AS_IT_IS[kind])
+    path = next(bag.iterdir())
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.warns(UserWarning, match="not finished"):
-        whole = read_streams(path, LAYOUTS)
-    result = recover(path, tmp_path / "new")
-    assert result.unfinished and not result.whole
-    assert result.saved.total() == sum(map(len, whole.values())) > 500
+        there = sum(map(len, read_streams(path, LAYOUTS).values()))
+    result = recover(path, tmp_path / "of_half")
+    assert result.unfinished and not result.whole and result.saved.total() == there > 500
 
 
 def test_a_topic_of_two_types_is_named_and_what_is_not_copied_counts_as_lost(tmp_path):
