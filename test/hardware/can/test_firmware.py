@@ -22,7 +22,7 @@ from scripts import make_firmware_frames
 from straightcomp_ros.control.laws import ControlParameters, make_law
 from straightcomp_ros.control.servo import Servo
 from straightcomp_ros.hardware.can.board_dbc import OF_BOARD
-from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters, shipped_wire
+from straightcomp_ros.hardware.can.can_parameters import CanParameters, WireParameters
 from straightcomp_ros.hardware.can.emulator import Board
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
 from straightcomp_ros.hardware.can.frames import Command
@@ -88,6 +88,10 @@ class Pair:
         for currents, current in zip(self.currents, (self.board.machine.applied_current, self._asked), strict=True):
             currents.append(current)
 
+    def lose_the_reference_or_find_it_again(self):
+        for board in self._boards:
+            board.machine.unreferenced = "" if board.machine.unreferenced else "the encoder has lost its power"
+
     def cycle_until(self, at_ns):
         """Each sample by itself: one that the emulator takes late, with others, reports the state after all of them."""
         for now in range(self._next_ns, at_ns + 1, STAGE.period_ns):
@@ -134,6 +138,8 @@ def bad_loop(run, stage=STAGE, samples=3000):
     for k in range(samples):
         now = START + k * period
         before = len(run.sent[0])
+        if k % 1200 in (860, 890):
+            run.lose_the_reference_or_find_it_again()
         run.cycle(now)
         frame = run.encoders(0, before)[-1]
         command = servo.step(now, frame.y, frame.current or 0.0, (0,) * 3)
@@ -166,39 +172,31 @@ def test_the_firmware_sends_the_emulators_frames_to_the_bit_over_a_bad_bus(pair,
     run.judge_equal()
 
 
-@pytest.mark.parametrize("seed", [0, *nightly(range(1, 10))])
-def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit(pair, firmware_of, tmp_path, seed):
-    text, meaning = drawn_board(seed)
-    file = tmp_path / f"drawn_{seed}.dbc"
-    file.write_text(text)
-    can = CanParameters(dbc=str(file), wire=meaning, simulated_stage=True)
-    run = bad_loop(pair(can, firmware_of(can, "board_sanitized")), samples=1500)
-    assert [amplifier for amplifier, _ in run.states[0]].count(State.ON) > 300
-    run.judge_equal()
-
-
-def test_a_board_with_a_message_for_each_signal_is_the_emulator_to_the_bit(pair, firmware_of, tmp_path):
-    bits = {"x": "32@1-", "y": "32@1-", "current": "16@1-", "counter": "16@1+"} | {
-        role: "8@1+" for role in ("good", "amplifier", "fault", "referenced")
-    }
-    scales = {"x": 1e-7, "y": 1e-7, "current": 1e-4}
-    lines, values = ["BS_:", "BU_: X"], {"protection.sample.alive": "count"}
-    for number, role in enumerate(bits, 0x101):
-        lines += [f"BO_ {number} of_{role}: 8 X", f' SG_ {role} : 0|{bits[role]} ({scales.get(role, 1)},0) [0|0] "" X']
+def board_with_a_message_for_each_signal():
+    """The text of its DBC file, whose counter of samples wraps after 768, and the meaning of its signals."""
+    scales, ends = {"x": 1e-7, "y": 1e-7, "current": 1e-4}, {"counter": 767}
+    lines, values = ['VERSION "1"', "NS_ :", "BS_:", "BU_: X"], {"protection.sample.alive": "count"}
+    for number, role in enumerate(OF_BOARD, 0x101):
+        kind = f"32@1- ({scales[role]},0)" if role in scales else "16@1+ (1,0)"
+        lines += [f"BO_ {number} of_{role}: 8 X", f' SG_ {role} : 0|{kind} [0|{ends.get(role, 0)}] "" X']
         lines += [' SG_ count : 32|8@1+ (1,0) [0|0] "" X'] * (role == "x")
         values |= {f"{role}.message": f"of_{role}", f"{role}.signal": role}
-    lines += [
-        "BO_ 512 order: 8 X",
-        ' SG_ current : 0|16@1- (1E-4,0) [0|0] "" X',
-        ' SG_ enable : 16|8@1+ (1,0) [0|0] "" X',
-    ]
-    values |= {"command.message": "order", "command.signal": "current", "enable.signal": "enable"}
-    file = tmp_path / "a_message_for_each.dbc"
-    file.write_text("\n".join(['VERSION "1"', "NS_ :", *lines, ""]))
-    can = CanParameters(dbc=str(file), wire=from_mapping(WireParameters, values), fd=False, simulated_stage=True)
-    assert len(can.make_wire().reports) == len(OF_BOARD)
+    lines += ["BO_ 512 order: 8 X", ' SG_ set : 0|16@1- (1E-4,0) [0|0] "" X', ' SG_ on : 16|8@1+ (1,0) [0|0] "" X', ""]
+    values |= {"command.message": "order", "command.signal": "set", "enable.signal": "on"}
+    return "\n".join(lines), from_mapping(WireParameters, values)
+
+
+@pytest.mark.parametrize("seed", ["a_message_for_each", 0, *nightly(range(1, 10))])
+def test_a_board_with_any_dbc_file_is_the_emulator_to_the_bit_also_when_its_counter_wraps(
+    pair, firmware_of, tmp_path, seed
+):
+    text, meaning = board_with_a_message_for_each_signal() if seed == "a_message_for_each" else drawn_board(seed)
+    file = tmp_path / f"drawn_{seed}.dbc"
+    file.write_text(text)
+    can = CanParameters(dbc=str(file), wire=meaning, fd=seed != "a_message_for_each", simulated_stage=True)
     run = bad_loop(pair(can, firmware_of(can, "board_sanitized")), samples=1500)
     assert [amplifier for amplifier, _ in run.states[0]].count(State.ON) > 300
+    assert run.board.counter == 1499 % (run.wire.number_modulus or 1500)
     run.judge_equal()
 
 
@@ -277,17 +275,6 @@ def test_of_more_commands_than_can_wait_the_last_are_refused_and_counted(pair, f
     run.cycle(START + 2 * STAGE.period_ns)
     # The sixteenth was the last that had room: number 15, of 15 counts, in steps of the converter.
     assert run.currents[1][-1] == STAGE.drive.converted(15 * CURRENT_COUNT)
-
-
-@pytest.mark.parametrize("can", [CLASSIC, FD], ids=["classic", "fd"])
-def test_the_sample_counter_wraps_as_the_emulators_does(pair, firmware_of, tmp_path, can):
-    dbc = (REPOSITORY / "config/straightcomp.dbc").read_text()
-    short = tmp_path / f"short_{'fd' if can.fd else 'classic'}.dbc"
-    short.write_text(dbc.replace("4026531839", "3839"))
-    can = replace(can, dbc=str(short), wire=shipped_wire(can.fd))
-    run = bad_loop(pair(can, firmware_of(can, "board_posix")), samples=5000)
-    assert run.board.counter == 4999 - 3840
-    run.judge_equal()
 
 
 def test_the_frames_in_c_are_those_of_the_dbc():
