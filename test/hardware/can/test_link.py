@@ -105,12 +105,20 @@ def test_only_the_boards_frames_and_error_frames_come_through(world):
     assert host.link.wait(0.0) == 5
     assert [one.flags for one, _ in host.arrived] == [FD_FRAME, REMOTE, ERROR]
     assert host.filters == [{"can_id": OURS, "can_mask": 0x7FF, "extended": False}]
+    wide = {"can_id": 0x18FF0201, "can_mask": 0x1FFFFFFF, "extended": True}
+    assert filter_of(0x18FF0201 | EXTENDED_ID) == wide
 
 
-def test_an_identifier_of_29_bits_is_filtered_as_such():
-    wide, short = 0x18FF0201 | EXTENDED_ID, 0x201
-    assert filter_of(wide) == {"can_id": 0x18FF0201, "can_mask": 0x1FFFFFFF, "extended": True}
-    assert filter_of(short) == {"can_id": 0x201, "can_mask": 0x7FF, "extended": False}
+def test_a_log_has_what_came_in_and_what_went_out_under_the_name_of_its_bus(world, tmp_path):
+    bus = Bus()
+    host = world(bus, channel="link", log=str(tmp_path / "logs" / "bus.log")).opened()
+    assert host.link.send(0x301, b"\1\2", fd=True)
+    bus.coming = [frame(), frame(data=b"\2")]
+    assert host.link.wait(0.0) == 2
+    host.link.close()
+    read = list(RecordedBus(host.link.log.file))
+    assert [(one.arbitration_id, one.is_rx) for one in read] == [(0x301, False), (OURS, True), (OURS, True)]
+    assert {one.channel for one in read} == {"link"} and abs(read[0].timestamp - time.time()) < 300
 
 
 @pytest.mark.parametrize(
