@@ -128,12 +128,15 @@ USED_NOWHERE = {
 
 
 @pytest.mark.parametrize("more", USED_NOWHERE.values(), ids=USED_NOWHERE)
-def test_what_the_wire_does_not_use_changes_nothing(board, compiled, more):
-    plain = board().make_wire().sample.pack(REPORT, 0)
-    can = board(f"{BOARD}\n{more}")
-    assert can.make_wire().sample.pack(REPORT, 0) == plain
+def test_what_the_wire_does_not_use_changes_nothing(board, more):
+    made = []
+    for text in (BOARD, f"{BOARD}\n{more}"):
+        can = board(text)
+        wire = can.make_wire()
+        in_c = {name: code.replace(wire.source(), "") for name, code in frames_in_c([wire]).items()}
+        made.append((wire.sample.pack(REPORT, 0), in_c))
+    assert made[0] == made[1]
     assert {finding.state for finding in board_findings(DriverNodeParameters(can=can))} <= {"ok", "warn"}
-    compiled(can)
 
 
 def test_a_signal_without_a_role_may_overlap_lie_outside_or_have_no_scale(board, compiled):
@@ -252,6 +255,18 @@ SET_COUNT = "SET_CNT : 24|8@1+ (1,0) ["
 COUNT, TWICE = "CNT : 48|8@1+ (1,0) [", 'SG_ POS_X : 59|1@1+ (1,0) [0|0] "" X\n SG_ OK'
 HUGE, FACTORS = ("9" * 309, "9" * 900, "1e999"), ("0", "1e-307", "1e-320", "1e-30", "1e30", "1e307")
 AGAIN = '\nBO_ 288 AGAIN: 8 BOARD\n SG_ Y : 0|16@1- (1,0) [0|0] "um" HOST\n'
+PLACES = ("0|9999999999", "9999999999|8", "0 // (\n | 9999999999", f"0|{'9' * 5000}")
+PAGES = ("0-4294967295", "1-1, 5 -99999999999", ",".join(["0-65535"] * 17))
+CYCLE, CYCLES = 'BA_DEF_ BO_ "GenMsgCycleTime"', ("1e999999999", "1e400", "9" * 400, "9" * 9999)
+Y = "(0.05,0) [0|0]"
+
+
+def each(parameter, words, old, new, values):
+    """Rows of one rule: with each value in ``new``, put in the place of ``old``, a file is refused by these words."""
+    short = {value: f"{value:.12} ({len(value)})" for value in values}
+    return {f"{new[-20:]} {short[value]}": (with_line(old, new.format(value)), parameter, words) for value in values}
+
+
 REFUSED = {
     "limits above the bits": (with_line("(0.0001,0) [0|0]", "(0.0001,-500000) [2000|4000]"), "x.signal", "-714748"),
     "limits below the bits": (with_line("(0.05,0) [0|0]", "(0.05,0) [-9000|-2000]"), "y.signal", "-1638.4"),
@@ -261,50 +276,22 @@ REFUSED = {
         *(with_line(f"{SET_COUNT}0|255]", f"{SET_COUNT}1|255]"), "protection.command.alive", "from 1"),
     ),
     "limits of the command": (with_line("(0.001,0) [0|0]", "(0.001,0) [40|50]"), "command.signal", "32.767"),
-    **{
-        f"{what} of {number:.9} ({len(number)}) in {kind}": (
-            with_line("(0.05,0) [0|0]", kind.format(number)),
-            "y.signal",
-            what,
-        )
-        for what, kind, numbers in (
-            ("factor", "({},0) [0|0]", [*HUGE, *FACTORS]),
-            ("factor", "({},0) [-100|100]", FACTORS),
-            ("offset", "(0.05,{}) [0|0]", HUGE),
-            ("minimum", "(0.05,0) [-{}|5]", HUGE),
-            ("maximum", "(0.05,0) [-5|{}]", HUGE),
-        )
-        for number in numbers
-    },
+    **each("y.signal", "factor", Y, "({},0) [0|0]", [*HUGE, *FACTORS]),
+    **each("y.signal", "factor", Y, "({},0) [-100|100]", FACTORS),
+    **each("y.signal", "offset", Y, "(0.05,{}) [0|0]", HUGE),
+    **each("y.signal", "minimum", Y, "(0.05,0) [-{}|5]", HUGE),
+    **each("y.signal", "maximum", Y, "(0.05,0) [-5|{}]", HUGE),
     "a message without end": (with_line("MEAS: 8", "MEAS: 4294967295"), "x.message", "BO_"),
-    **{
-        f"a signal at {place:.13}": (
-            with_line(" SG_ OK", f' SG_ F : {place}@1+ (1,0) [0|0] "" X\n SG_ OK'),
-            "x.message",
-            "SG_",
-        )
-        for place in ("0|9999999999", "9999999999|8", "0 // (\n | 9999999999", f"0|{'9' * 5000}")
-    },
-    **{
-        f"pages {ranges}": (f"{MULTIPLEXED}SG_MUL_VAL_ 288 I AMP {ranges};\n", "x.message", "SG_MUL_VAL_")
-        for ranges in ("0-4294967295", "1-1, 5 -99999999999", ",".join(["0-65535"] * 17))
-    },
-    **{
-        f"a cycle time of {cycle:.12}": (
-            f'{BOARD}BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_ "GenMsgCycleTime" BO_ 288 {cycle};\n',
-            *("", "cycle time|BA_"),
-        )
-        for cycle in ("1e999999999", "1e400", "9" * 400, "9" * 9999)
-    },
+    **each("x.message", "SG_", " SG_ OK", ' SG_ F : {}@1+ (1,0) [0|0] "" X\n SG_ OK', PLACES),
+    **each("x.message", "SG_MUL_VAL_", BOARD, f"{MULTIPLEXED}SG_MUL_VAL_ 288 I AMP {{}};\n", PAGES),
+    **each("", "cycle time|BA_", BOARD, f'{BOARD}{CYCLE} INT 0 65535;\nBA_ "GenMsgCycleTime" BO_ 288 {{}};\n', CYCLES),
+    "a cycle time that is a text": (
+        *(f'{BOARD}{CYCLE} STRING;\nBA_ "GenMsgCycleTime" BO_ 288 "fast";\n', "x.signal", "'fast'"),
+    ),
     "a name of a message twice": (BOARD + "\nBO_ 300 MEAS: 8 BOARD\n", "x.message", "0x120 and 0x12c"),
     "a name of a signal twice": (with_line("SG_ OK", TWICE), "x.signal", "2"),
     "signals on each other": (with_line("POS_Y : 32|", "POS_Y : 24|"), "x.signal", "POS_Y"),
-    **{
-        f"a signal beyond its message at {place}": (
-            *(with_line("SET_CNT : 24|8@1+", f"SET_CNT : {place}+"), "protection.command.alive", "4"),
-        )
-        for place in ("25|8@1", "30|8@0")
-    },
+    **each("protection.command.alive", "the 4 bytes", "SET_CNT : 24|8@1+", "SET_CNT : {}+", ("25|8@1", "30|8@0")),
     "a float of 16 bits": (with_line("X : 0|32", "X : 0|16") + "SIG_VALTYPE_ 288 POS_X : 1;\n", "x.signal", "16"),
     "a state that chooses the current's page": (MULTIPLEXED, "x.signal", "'AMP'", {"current.signal": "I"}),
     "a state that chooses the code's page": (MULTIPLEXED, "x.signal", "'AMP'", {"fault.signal": "CODE"}),
@@ -322,11 +309,6 @@ REFUSED = {
     "an identifier of two messages": (
         *(BOARD + AGAIN, "", "'MEAS' and 'AGAIN'"),
         {"y.message": "AGAIN", "y.signal": "Y"},
-    ),
-    "a cycle time that is a text": (
-        BOARD + 'BA_DEF_ BO_ "GenMsgCycleTime" STRING;\nBA_ "GenMsgCycleTime" BO_ 288 "fast";\n',
-        "x.signal",
-        "'fast'",
     ),
     "no list of messages": ("NS_ :\n    NS_DESC_\n    CM_\n", "", "within NS_"),
     "a file without messages": ('VERSION ""\n', "", "no message"),
@@ -383,60 +365,43 @@ def test_a_multiplexer_that_is_not_there_or_chooses_its_own_page_is_refused(sele
 
 
 EVIL = "*/ int8_t x; }; __attribute__((constructor)) static void pwn(void){} struct z { /*"
-TEXTS = {
-    "unit": (with_line("SG_ OK", f'SG_ FREE : 60|1@1+ (1,0) [0|1] "{EVIL}" X\n SG_ OK'), {}),
-    "unit of a role": (with_line('"um"', f'"{EVIL}"'), {"y.unit": "um"}),
-    "comment": (
+DOUBLE = int(sys.float_info.max)
+NAMES = ('q", .x = "y.dbc', "n\nint evil;\n.dbc", 'n\\".dbc', "*" + "??'" + ".dbc", "µ.dbc")
+ACCEPTED = {
+    "negative factor and wide limits": [with_line("(0.05,0) [0|0]", "(-0.05,0) [-2000|2000]")],
+    "limits beyond the bits": [
+        BOARD.replace("[0|0]", "[-1e9|1e9]").replace("[0|255]", "[0|1000]").replace("[0|1]", "[-9|9]")
+    ],
+    "limits of the largest float": [with_line("(0.05,0) [0|0]", f"(0.05,0) [-{DOUBLE}|{DOUBLE}]")],
+    "an offset and a narrow range": [with_line("(0.0001,0) [0|0]", "(-0.0001,3) [-1500|2500]")],
+    "unit": [with_line("SG_ OK", f'SG_ FREE : 60|1@1+ (1,0) [0|1] "{EVIL}" X\n SG_ OK')],
+    "unit of a role": [with_line('"um"', f'"{EVIL}"'), {"y.unit": "um"}],
+    "comment": [
         f'{BOARD}CM_ SG_ 288 POS_X "{EVIL}";\nCM_ BO_ 288 "{EVIL}";\n'
         'CM_ SG_ 288 POS_Y "**//// int e; /\\\n*/ int f;";\n',
-        {},
-    ),
-    "choice": (f'{BOARD}VAL_ 288 AMP 0 "x 0)\n int evil;\n#define y" 1 "{EVIL}" ;\n', {}),
-    "long name": (
+    ],
+    "choice": [f'{BOARD}VAL_ 288 AMP 0 "x 0)\n int evil;\n#define y" 1 "{EVIL}" ;\n'],
+    "long name": [
         BOARD
         + 'BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;\nBA_DEF_DEF_ "SystemSignalLongSymbol" "";\n'
         + f'BA_ "SystemSignalLongSymbol" SG_ 288 OK "1 x\'); import os; {EVIL}";\n',
         {"good.signal": f"1 x'); import os; {EVIL}"},
-    ),
+    ],
+    **{f"file {name!a}": [BOARD, {}, name] for name in NAMES},
 }
+"""By what is unusual in it: text, changes of the meaning, and name of a file."""
 
 
-@pytest.mark.parametrize(("text", "changes"), TEXTS.values(), ids=TEXTS)
-def test_no_text_of_a_file_reaches_c(board, compiled, text, changes):
-    can = board(text, changes)
-    wire = can.make_wire()
-    assert wire.sample.unpack(wire.sample.pack(REPORT, 0)).good
-    forbidden = ("pwn(", "int evil", "int e;", "import os;", "*/ int")
-    assert not any(word in made for made in compiled(can).values() for word in forbidden)
-
-
-@pytest.mark.parametrize("name", ['q", .x = "y.dbc', "n\nint evil;\n.dbc", 'n\\".dbc', "*" + "??/" + ".dbc", "µ.dbc"])
-def test_no_name_of_a_file_reaches_c(board, compiled, name):
-    # A name has no slash.
-    can = board(name=name.replace("/", "'"))
-    assert "int evil;" not in compiled(can)["wire.c"]
-    assert can.make_wire().source().isascii() and can.make_wire().source().count(" ") == 1
-
-
-DOUBLE = int(sys.float_info.max)
-SHAPES = {
-    "negative factor and wide limits": with_line("(0.05,0) [0|0]", "(-0.05,0) [-2000|2000]"),
-    "limits beyond the bits": BOARD.replace("[0|0]", "[-1e9|1e9]")
-    .replace("[0|255]", "[0|1000]")
-    .replace("[0|1]", "[-9|9]"),
-    "limits of the largest float": with_line("(0.05,0) [0|0]", f"(0.05,0) [-{DOUBLE}|{DOUBLE}]"),
-    "an offset and a narrow range": with_line("(0.0001,0) [0|0]", "(-0.0001,3) [-1500|2500]"),
-}
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_the_frames_of_every_file_that_is_accepted_compile(board, compiled, shape):
-    can = board(SHAPES[shape])
+@pytest.mark.parametrize("given", ACCEPTED.values(), ids=ACCEPTED)
+def test_the_frames_of_every_file_that_is_accepted_compile_and_no_text_of_it_reaches_c(board, compiled, given):
+    can = board(*given)
     wire = can.make_wire()
     found = wire.sample.unpack(wire.sample.pack(REPORT, 0))
-    assert (found.x, found.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
+    assert found.good and (found.x, found.y) == pytest.approx((0.5, -22e-6), abs=1e-7)
     assert wire.command.unpack(wire.command.pack(Command(3, True, None, 0.25, None))).current == pytest.approx(0.25)
-    compiled(can)
+    assert wire.source().isascii() and wire.source().count(" ") == 1
+    forbidden = ("pwn(", "int evil", "int e;", "import os;", "*/ int")
+    assert not any(word in made for made in compiled(can).values() for word in forbidden)
 
 
 def described(message):
