@@ -17,9 +17,9 @@ PERIOD = STAGE.period_ns
 START = 1_700_000_000_123_456_789
 
 
-def machine(delay=1.0, on=True, **parameters) -> SimulatedHardware:
-    stage = dataclasses.replace(STAGE, drive=DriveParameters(delay=delay))
-    hardware = SimulatedHardware(SimulatedParameters(**{"command_timeout": 1.0, **parameters}), stage, GUIDE)
+def machine(delay=1.0, on=True, x=0.0, rate=STAGE.rate, **parameters) -> SimulatedHardware:
+    stage = dataclasses.replace(STAGE, rate=rate, drive=DriveParameters(delay=delay))
+    hardware = SimulatedHardware(SimulatedParameters(**{"command_timeout": 1.0, **parameters}), stage, GUIDE, x)
     hardware.start(START)
     if on:
         hardware.enable()
@@ -180,9 +180,7 @@ def test_commands_that_wait_take_effect_in_their_order_however_many_they_are(cou
 
 
 def test_homing_finds_the_index_where_it_is_now_and_ends_at_the_start_of_the_strokes():
-    parameters = SimulatedParameters(referenced=False, index=0.05, index_shift=0.001)
-    hardware = SimulatedHardware(parameters, STAGE, GUIDE, x=0.1)
-    hardware.start(START)
+    hardware = machine(on=False, x=0.1, referenced=False, index=0.05, index_shift=0.001)
     ((sample, _),) = hardware.read(START)
     assert sample.x == 0.0 and hardware.unreferenced
     hardware.home(START)
@@ -196,10 +194,8 @@ def test_homing_finds_the_index_where_it_is_now_and_ends_at_the_start_of_the_str
 
 @pytest.mark.parametrize("rate", [100, 500])
 def test_homing_finds_the_index_wherever_the_samples_fall(rate):
-    stage = dataclasses.replace(STAGE, rate=rate)
     for k in range(40):
-        hardware = SimulatedHardware(SimulatedParameters(referenced=False, index=0.05), stage, GUIDE, x=0.1 + 1e-4 * k)
-        hardware.start(START)
+        hardware = machine(on=False, x=0.1 + 1e-4 * k, rate=rate, referenced=False, index=0.05)
         hardware.home(START)
         hardware.read(START + 4 * 10**9)
         assert not hardware.unreferenced
@@ -207,9 +203,7 @@ def test_homing_finds_the_index_wherever_the_samples_fall(rate):
 
 @pytest.mark.parametrize("replaced", [False, True], ids=["ended", "replaced"])
 def test_homing_that_ends_before_the_index_says_so_until_it_is_repeated(replaced):
-    parameters = SimulatedParameters(referenced=False, index=0.05)
-    hardware = SimulatedHardware(parameters, STAGE, GUIDE, x=0.2)
-    hardware.start(START)
+    hardware = machine(on=False, x=0.2, referenced=False, index=0.05)
     hardware.home(START)
     hardware.pace(Pace(hold=replaced, end=not replaced))
     time_ns = START + 200 * PERIOD

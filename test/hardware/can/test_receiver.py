@@ -2,12 +2,12 @@
 
 import math
 import random
-import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from can_boards import BARE, FOREIGN, PERIOD, START
+from forgery import damaged, forged
 
 from straightcomp_ros.hardware.can.can_parameters import CanParameters, shipped_wire
 from straightcomp_ros.hardware.can.emulator_frames import EmulatorFrames
@@ -199,10 +199,8 @@ def test_a_current_beyond_its_limits_is_counted_and_the_last_one_stays(current):
     board = Board(FOREIGN).samples(2 * BLOCK)
     board.sample(current=2000)
     frames = board.receiver.wire.sample
-    payload = frames.pack(Report(board.number % frames.alive_modulus, None, 0.0, 0.0, 0.1, None, None, True, None))
-    begin = frames.fields["current"].start // 8
-    payload = payload[:begin] + struct.pack(">f", current) + payload[begin + 4 :]
-    board.receive(frames.identifier, frames.crc.sealed(payload))
+    payload = frames.pack(Report(board.number % frames.alive_modulus, x=0.0, y=0.0, current=0.1))
+    board.receive(frames.identifier, forged(frames, payload, **{frames.fields["current"].name: current}))
     assert board.newest(1) == [board.number] and board.receiver.samples[-1][1].current == pytest.approx(0.2)
     assert board.refused() == {"current": 1}
 
@@ -293,8 +291,8 @@ def test_the_truth_of_an_emulated_board_belongs_to_the_sample_of_its_number():
     assert reporting.sample()[2] is None
     assert reporting.sample()[2] == truth
     payload = truth_payload(reporting.number, truth)
-    for damaged in (payload[:-1], bytes([payload[0] ^ 1]) + payload[1:]):
-        reporting.receive(identifier, damaged)
+    for wrong in (payload[:-1], damaged(payload, 0)):
+        reporting.receive(identifier, wrong)
     assert reporting.sample()[2] is None
     # Nothing acts on it: it is counted, and is no error.
     assert reporting.refused() == {"truth": 2} and reporting.receiver.error_counter == 0
