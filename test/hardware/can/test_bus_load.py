@@ -1,5 +1,4 @@
-import itertools
-import random
+"""How long frames take, and how much of a bus they need."""
 
 import pytest
 from can_boards import FOREIGN
@@ -10,32 +9,11 @@ from straightcomp_ros.doctor.stage_findings import bus_load, classic_bits, fd_ti
 from straightcomp_ros.hardware.can.can_parameters import CanParameters
 
 
-def stuffed(bits):
-    """Bits after stuffing: one of the other kind after five equal ones, itself counted."""
-    out = []
-    for bit in bits:
-        out.append(bit)
-        if len(out) >= 5 and len(set(out[-5:])) == 1:
-            out.append(1 - bit)
-    return len(out)
-
-
-@pytest.mark.parametrize("size", [1, 5, 8])
-def test_no_pattern_needs_more_bits_than_the_bound_and_one_needs_all(size):
-    stuffable = 34 + 8 * size
-    worst = list(itertools.islice(itertools.chain([0] * 5, itertools.cycle([1] * 4 + [0] * 4)), stuffable))
-    unstuffed_end = 13
-    assert stuffed(worst) + unstuffed_end == classic_bits(size)
-    chance = random.Random(1)
-    for _ in range(500):
-        bits = [chance.random() < chance.choice([0.05, 0.5, 0.95]) for _ in range(stuffable)]
-        assert stuffed([int(bit) for bit in bits]) + unstuffed_end <= classic_bits(size)
-
-
-def test_an_identifier_of_29_bits_takes_longer_and_the_longest_frame_of_can_fd_has_680_bits():
-    assert classic_bits(8) == 135
+def test_the_longest_frames_are_those_of_the_literature():
+    # Davis, Burns, Bril and Lukkien, Real-Time Systems 35, 2007: 55 and 80 bits, and 10 for each byte.
+    for size in range(9):
+        assert (classic_bits(size), classic_bits(size, extended=True)) == (55 + 10 * size, 80 + 10 * size)
     # SRR, IDE and 18 more bits of the identifier, all stuffed with the rest.
-    assert classic_bits(8, extended=True) == 160 and classic_bits(0, extended=True) == 80
     assert fd_time(8, 1, 10**9, extended=True) == pytest.approx(36 + 8 + 12, abs=1e-3)
     assert frame_time(FOREIGN.make_wire().command, 1e6, 0.0) == pytest.approx(160e-6)
     # 64 bytes: 517 bits and 130 stuffed, stuff count 4, CRC 21, 7 fixed stuff bits, delimiter.

@@ -3,7 +3,7 @@
 import contextlib
 import errno
 import time
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -228,17 +228,11 @@ def test_an_unknown_interface_is_refused_with_those_that_are_known():
 def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_lacks(monkeypatch, capsys):
     values = shipped_parameters()
     values["driver"] |= {"hardware": "can", "can.interface": "virtual", "can.log": "the_drivers.log"}
-    driver, bus, received = node_parameters("driver", values), Bus(), []
+    driver, bus = node_parameters("driver", values), Bus()
     host = World(monkeypatch, [OSError("no device"), OSError("no device"), bus])
     emulator = Emulator(driver)
     assert emulator._line.log is None
-    emulator._board = SimpleNamespace(
-        start=lambda now_ns: None,
-        cycle=lambda now_ns: None,
-        receive=lambda *frame: received.append(frame),
-        stage=SimpleNamespace(refused=""),
-        close=lambda: None,
-    )
+    board = emulator._board = Mock(**{"stage.refused": ""})
     assert comes_true(lambda: emulator._cycle(0) or emulator._line.openings, 60.0)
     assert capsys.readouterr().err.count("CAN virtual can0: no device") == 1
     ours = driver.can.make_wire().command.identifier
@@ -250,7 +244,7 @@ def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_
         frame(OURS, 0, b"c"),
     ]
     emulator._cycle(0)
-    ((identifier, payload, arrival_ns),) = received
+    ((identifier, payload, arrival_ns),) = (call.args for call in board.receive.call_args_list)
     assert (identifier, payload) == (ours, b"ab")
     # It counts from its time on the bus.
     assert arrival_ns == pytest.approx(emulator._now_ns() - 10**9, abs=9e8)
