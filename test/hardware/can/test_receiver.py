@@ -342,8 +342,8 @@ class WrappedMachine:
     """A board whose counter of x wraps, on a stage that the draw moves; what happens to it is drawn too."""
 
     def __init__(self, parameters, seed, stage):
-        self.draw, self.receiver = random.Random(seed), Receiver(parameters, stage)
-        self.frames, self.number, self.periods = self.receiver.wire.sample, 0, 0
+        self.draw, self.board = random.Random(seed), Board(parameters, stage)
+        self.receiver = self.board.receiver
         self.travel = round(stage.motion.stroke / COUNT)
         self.at = self.draw.randrange(self.travel)
         self.zero, self.referenced, self.good, self.wrong, self.used = 0, True, True, 0, 0
@@ -351,13 +351,9 @@ class WrappedMachine:
 
     def samples(self, count, speed=0):
         for _ in range(count):
-            self.number, self.periods = self.number + 1, self.periods + 1
             self.move(speed)
-            x = (self.at - self.zero) * COUNT
-            report = Report(self.number % 15, self.number, x, 0.0, 0.0, State.ON, 0, self.good, self.referenced)
             self.receiver.samples.clear()
-            arrival_ns = START + self.periods * PERIOD
-            self.receiver.take(Frame(0, self.frames.identifier, 0, self.frames.pack(report)), arrival_ns)
+            self.board.sample(x=self.at - self.zero, good=self.good, referenced=self.referenced)
             for _, sample, _ in self.receiver.samples:
                 self.watch.look([sample], self.known)
                 if self.known and not self.watch.finding:
@@ -375,7 +371,7 @@ class WrappedMachine:
         """While it is homed a machine has no reference, and here samples are lost; homing ends at its mark."""
         self.referenced = False
         self.samples(3)
-        self.number, self.periods = self.number + 200, self.periods + 200
+        self.board.number += 200
         self.referenced, self.zero, self.at = True, self.shift, self.draw.randrange(0, 1000)
 
     def move_index(self):
@@ -394,14 +390,14 @@ class WrappedMachine:
 
     def restart(self):
         """The board restarts, and the stage was pushed meanwhile."""
-        self.number = 0
+        self.board.number, self.board.start_ns = 0, self.board.start_ns + self.board.number * PERIOD
         self.move(self.draw.randrange(-TURN, TURN))
         self.receiver.restart()
 
     def pause(self):
         """Samples are lost, and the stage moved on."""
         lost = self.draw.choice((3, 50, 4000))
-        self.number, self.periods = self.number + lost, self.periods + lost
+        self.board.number += lost
         self.move(lost * self.draw.randrange(-900, 900))
 
 
