@@ -254,7 +254,7 @@ def test_an_asc_log_is_read_from_its_first_frame_in_its_base_and_kind_of_times_w
         ("bus.txt", b"x", {}, ["unknown log format"]),
         ("bus.log", b"", {}, ["has no frame of board 1"]),
         ("bus.blf", b"", {}, ["bus.blf'"]),
-        ("bus.log", b"", {"speed": 0}, ["--speed 0; allowed: 0.01 to 100"]),
+        ("bus.log", b"", {"speed": 0}, ["--speed: '0'; allowed: 0.01 to 100"]),
         ("bus.log", b"", {"interface": "pigeon"}, ["'pigeon' is not known", "socketcan"]),
         ("a.mf4", b"MDF     4.10    " + bytes(72), {}, ["asammdf"]),
         ("a.log", b"  can0  181   [8]  11 22 33 44 55 66 77 88\n", {}, ["candump -L"]),
