@@ -345,3 +345,5 @@ def test_streams_that_end_with_the_first_of_them_are_named(tmp_path):
     many = {REFERENCE: set(range(30, COUNT)), COMMAND: set(range(39, COUNT))}
     assert evaluate_bag(recorded(tmp_path / "a", left_out=many)).encoder.ended == "reference and command and truth"
     assert evaluate_bag(recorded(tmp_path / "b", without=(TRUTH,))).encoder.ended == "reference and command"
+    first = {TRUTH: set(range(70, 120))}
+    assert evaluate_bag(recorded(tmp_path / "c", left_out=first, order=range(120))).encoder.ended == "truth"
