@@ -143,11 +143,13 @@ def bulge(topic, stamp, numbers):
     return stamp, numbers
 
 
-@pytest.mark.parametrize("missing", [REFERENCE.topic, COMMAND.topic, *nightly([TRUTH.topic])])
+@pytest.mark.parametrize(
+    ("missing", "mapped"), [(REFERENCE, True), (COMMAND, True), *nightly([(TRUTH, True), (REFERENCE, False)])]
+)
 @pytest.mark.parametrize(("change", "verdict"), [(bulge, "starved"), (unchanged, "in_order")])
-def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, judged, missing, change, verdict):
-    lacking = when(lambda topic, stamp: topic == missing and 0.9 * S <= stamp < 1.2 * S, otherwise=change)
-    bag = rewritten(SMC, tmp_path / "b", lacking)
+def test_an_error_in_samples_that_lack_an_answer_is_no_order(tmp_path, judged, missing, mapped, change, verdict):
+    lacking = when(lambda topic, stamp: topic == missing.topic and 0.9 * S <= stamp < 1.2 * S, otherwise=change)
+    bag = rewritten(SMC, tmp_path / "b", lacking, lambda name, data: data if mapped or "yaml" in name else None)
     code, found = judged(bag, limit=5)
     assert (code, found["verdict"]) == (verdict != "in_order", verdict)
     assert {row.verdict for row in rows_of(evaluate_bag(bag), {})} == {verdict, "in_order"}
