@@ -110,6 +110,7 @@ def jump_from(at, by, log_too=False):
     ("change", "verdict"),
     [
         (when(lambda topic, stamp: S <= stamp < 1.05 * S, off), "interrupted"),
+        (when(lambda _, stamp: stamp < FORWARD * S, off), "interrupted"),
         (when(lambda _, stamp: stamp < 0.1 * S, off), "in_order"),
         (when(lambda topic, stamp: topic == ENCODER.topic and stamp >= S, x_jumps), "interrupted"),
         (begins_at_zero, "clock_jumped"),
