@@ -81,10 +81,14 @@ def ends(law_s, others_s):
 def test_a_run_whose_law_ends_in_motion_is_interrupted_and_its_lost_samples_count(tmp_path, judged):
     bag = rewritten(SMC, tmp_path / "b", ends(FORWARD, math.inf))
     code, found = judged(bag, limit=5)
-    assert (code, found["verdict"]) == (1, "interrupted")
+    assert (code, found["verdict"], found["amplifier_off_in_motion"]) == (1, "interrupted", 0)
     assert found["lost_commands"] > 1000 and found["lost_references"] == found["lost_commands"]
     rows = rows_of(evaluate_bag(bag), {})
     assert rows[-1].verdict == "interrupted" and {row.verdict for row in rows[:-1]} <= {"in_order"}
+
+
+def thinned(stream):
+    return when(lambda topic, stamp: topic == stream.topic and round(stamp / S / T) % 20)
 
 
 def x_jumps(topic, stamp, numbers):
@@ -124,7 +128,8 @@ def jump_from(at, by, log_too=False):
         (jump_from(2.25, DAY / 3, log_too=True), "in_order"),
         # Less than half of the travel in the record: of bursts, or of a stream that someone throttled.
         (when(lambda _, stamp: stamp % (0.95 * S) >= 0.06 * S), "starved"),
-        (when(lambda topic, stamp: topic == REFERENCE.topic and round(stamp / S / T) % 20), "starved"),
+        (thinned(REFERENCE), "starved"),
+        *nightly([(thinned(COMMAND), "starved")]),
         # Stopped in motion, streams end some milliseconds apart.
         (ends(0.99, 1.0), "in_order"),
         *nightly((law_ends_and_the_amplifier(at), "interrupted") for at in (0.5, 3.0)),
