@@ -48,6 +48,10 @@ def test_the_panels_show_runs_means_and_bands_and_what_is_left_of_the_mean(drawn
     assert (low, high) == pytest.approx((-0.15 - 0.2 * np.sqrt(2.0), -0.15 + 0.2 * np.sqrt(2.0)))
     for line in (line for axes in drawn[0].axes for line in axes.get_lines() if len(line.get_xdata()) > 2):
         assert (line.get_xdata()[0], line.get_xdata()[-1]) == pytest.approx((0.0, 400.0))
+    # A legend hides no curve and no band, and takes no third of a panel.
+    for axes in drawn[0].axes:
+        (bottom, top), highest = axes.get_ylim(), axes.dataLim.y1
+        assert axes.get_legend() and 0.2 < (top - highest) / (top - bottom) < 0.3
     # Without noise the map goes through every mean.
     assert lines(lowest)["mean of the runs"] == pytest.approx(0.0, abs=1e-9)
 
