@@ -89,8 +89,11 @@ def test_metadata_yaml_says_what_rosbags_writes_of_the_same_messages(tmp_path):
         "ros_distro": "jazzy",
     }
     profile = found["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"][0]
-    for endless in ("deadline", "lifespan", "liveliness_lease_duration"):
-        assert profile[endless] == {"sec": 9223372036, "nsec": 854775807}
+    # These come from our bag: what they must be, rosbags does not say.
+    expected = {"history": "keep_last", "depth": 10, "reliability": "best_effort", "durability": "volatile"}
+    expected |= {"liveliness": "automatic", "avoid_ros_namespace_conventions": False}
+    forever = {"sec": 9223372036, "nsec": 854775807}
+    assert profile == expected | dict.fromkeys(("deadline", "lifespan", "liveliness_lease_duration"), forever)
     text = (bag.directory / "metadata.yaml").read_text()
     # rosbag2 reads no anchors; it looks into the file when it is given that alone.
     assert "&id" not in text
