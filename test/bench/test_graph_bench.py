@@ -55,7 +55,7 @@ def test_every_sample_of_the_window_is_asked_for_on_every_topic_and_its_edges_co
     missing = {"encoder": 0, "reference": 0, "command": 80, "controller_state": 1, "driver_state": 0, "truth": 0}
     expected = {"expected_samples": 800, "missing": missing, "complete": False, "amplifier_on": pytest.approx(0.75)}
     assert found["bag"] == expected and found["lost_samples"] == 80
-    assert [found["latency_us"][name] for name in ("max", "p50")] == pytest.approx([899, 499.5])
+    assert found["latency_us"] == pytest.approx({"p50": 499.5, "p99": 891.01, "p999": 898.201, "max": 899})
     beyond = read_window(bag, START - 50 * PERIOD, START + 1010 * PERIOD)["bag"]
     assert beyond["expected_samples"] == 1060 and beyond["missing"]["encoder"] == 60
     with pytest.raises(BagError, match="window"):
