@@ -78,7 +78,10 @@ WELL = Observation(nodes={"driver": "plain", "logger": "active"}, fresh=True, de
     ("changes", "words"),
     [
         ({}, ""),
-        ({"nodes": {"driver": "absent"}}, "driver (absent)"),
+        (
+            {"nodes": {"driver": "absent", "logger": "absent"}},
+            "nodes that do not work: driver (absent), logger (absent)",
+        ),
         ({"nodes": {"driver": "inactive"}}, "driver (inactive)"),
         ({"fresh": False}, "no samples"),
         ({"still": False}, "moves"),
