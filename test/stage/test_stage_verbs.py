@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from straightcomp_ros.parameters.declaration import declarations, from_mapping
+from straightcomp_ros.parameters.declaration import declarations, from_mapping, to_mapping
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.stage.description import StageParameters
 
@@ -130,7 +130,10 @@ def test_on_a_terminal_what_was_not_given_is_asked_for_until_it_fits_the_other_a
     assert said.code == 0 and f"facts given: {len(facts) + 1};" in said.out.replace("\n", " ")
     assert said.err.endswith(f"next: straightcomp stage check '{tmp_path}/my stage/stage.yaml'\n")
     written = shipped_parameters(stage=tmp_path / "my stage" / "stage.yaml")["stage"]
-    assert written.items() >= (facts | {"platform.mass": 4.0}).items()
+    own = {"platform.mass": 4.0, "name": "my stage", "guide.file": written["guide.file"]}
+    assert written == to_mapping(StageParameters()) | own | facts
+    # What cannot be is answered by the reason.
+    assert ("'fast' Hz is not an integer" in said.out) == ("fast" in answers.get("Samples", ()))
 
 
 @pytest.mark.parametrize("name", ["one", "one/deep/er"])
