@@ -22,7 +22,9 @@ NOW, SECOND = 2_000_000_000_000_000_000, 10**9
 @pytest.fixture
 def stand():
     """A graph at work, as far as its fields are not changed; it waits for nothing."""
-    stand = Mock(condition="on", fault=None, tripped=None, failures=[], answers_lost=0, about="")
+    stand = Mock(
+        spec=Stand, node=Mock(), condition="on", fault=None, tripped=None, failures=[], answers_lost=0, about=""
+    )
     stand.names = ("driver", "feedforward", "controller", "logger")
     stand.until.side_effect = lambda condition, seconds=0.0: condition()
     stand.signal.return_value, stand.enable.return_value = NOW, False
