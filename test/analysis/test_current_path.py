@@ -68,6 +68,7 @@ def test_bandwidth_and_delay_are_found_on_both_sides_of_the_next_sample(samples,
     assert path.rate == pytest.approx(2.0 * math.pi * hertz, rel=1e-3 if len(late) else 1e-6)
     assert path.delay == pytest.approx(samples * PERIOD, abs=1e-7)
     assert len(late) or path.delay_spread == pytest.approx((path.delay, path.delay), abs=1e-7)
+    assert samples >= 1.0 or path.after[5:-5] == pytest.approx(run.command[5:-5], abs=1e-12)
 
 
 def test_the_deviation_of_the_bandwidth_is_that_of_many_noisy_records():
