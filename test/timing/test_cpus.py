@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from waiting import comes_true
 
 from straightcomp_ros.timing import cpu_guard, cpus
 from straightcomp_ros.timing.cpus import (
@@ -29,6 +30,13 @@ from straightcomp_ros.timing import cpu_guard
 cpu_guard._PROCESSES, cpu_guard._WORK_QUEUES = Path({processes!r}), Path({queues!r})
 cpu_guard.NOTES = Path({notes!r})
 sys.exit(cpu_guard.main(sys.argv[1:]))
+"""
+NODE = """
+import sys
+from straightcomp_ros.timing import cpu_guard, cpus
+cpus._KEPT, cpus._LOOPS, cpu_guard.__file__ = sys.argv[1:4]
+print(cpus.keep_others_off({int(sys.argv[4])}), flush=True)
+sys.stdin.read()
 """
 
 
@@ -109,6 +117,18 @@ def test_others_leave_the_cpu_until_the_node_ends(stand, monkeypatch):
     end_one()
     assert os.sched_getaffinity(free) == os.sched_getaffinity(child) == stand.all
     assert os.sched_getaffinity(elsewhere) == stand.rest
+    assert stand.queues.read_text().strip() == "ff"
+
+
+def test_others_are_given_the_cpu_back_when_the_node_is_killed(stand):
+    free, words = stand.bystander(), [cpus._KEPT, cpus._LOOPS, cpu_guard.__file__, str(stand.cpu)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    node = subprocess.Popen([sys.executable, "-c", NODE, *words], **pipes)
+    stand.started.append(node)
+    with node.stdin, node.stdout:
+        assert node.stdout.readline().startswith(b"kept") and os.sched_getaffinity(free) == stand.rest
+        node.kill()
+        assert comes_true(lambda: os.sched_getaffinity(free) == stand.all and not list(stand.notes.iterdir()))
     assert stand.queues.read_text().strip() == "ff"
 
 
