@@ -224,13 +224,13 @@ OF_181 = (0x181, 0, 0, 0, 2, b"12")
 @pytest.mark.parametrize(
     "head",
     [
-        "",
-        "date Mo M\u00e4r 30 15:06:13.191 2026\n",
-        "date lun. ao\u00fbt 30 15:06:13 2026\ninternal events logged\n",
-        "date Mon Mar 30 03:06:13.191 pm 2026\nno internal events logged\n",
-        "// version 9.0.0\n",
-        "internal events logged\n// version 9.0.0\n",
-        "Begin Triggerblock Mon Mar 30 15:06:13.191 2026\n   0.000000 Start of measurement\n",
+        "BASE",
+        "date Mo M\u00e4r 30 15:06:13.191 2026\nBASE",
+        "date lun. ao\u00fbt 30 15:06:13 2026\nBASEinternal events logged\n",
+        "BASEdate Mon Mar 30 03:06:13.191 pm 2026\nno internal events logged\n",
+        "BASE// version 9.0.0\n",
+        "BASEinternal events logged\n// version 9.0.0\n",
+        "BASEBegin Triggerblock Mon Mar 30 15:06:13.191 2026\n   0.000000 Start of measurement\n",
     ],
     ids=["none", "German", "French", "of twelve hours", "version", "events, version", "trigger"],
 )
@@ -240,7 +240,7 @@ def test_an_asc_log_is_read_from_its_first_frame_in_its_base_and_kind_of_times_w
     lines = asc(["0.000500"] * 3, "").partition("logged\n")[2]
     lines += "   0.002000 1  Statistic: D 0 R 0\n" + "   0.000500 1  181  Rx   d 1 11\n"
     lines = lines.replace(" 181 ", " 385 ") if "dec" in base else lines
-    (tmp_path / "bus.asc").write_bytes(f"{base}{head}{lines}".encode(encoding))
+    (tmp_path / "bus.asc").write_bytes(f"{head.replace('BASE', base)}{lines}".encode(encoding))
     frames = list(of_the_board(RecordedBus(tmp_path / "bus.asc"), {0x181}))
     # Lines of other things count as well.
     times = [0.0005, 0.001, 0.0015, 0.004] if "relative" in base else [0.0005] * 4
