@@ -132,6 +132,13 @@ def test_beyond_the_limits_of_the_dbc_a_reading_is_not_good_and_a_current_no_num
         assert found.current == value if found.good else math.isnan(found.current)
 
 
+@BUSES
+@pytest.mark.parametrize(("axis", "bits"), [("StageX", 26), ("PlatformY", 20)])
+def test_the_shipped_file_does_not_allow_the_lowest_raw_value_of_a_reading(wire, axis, bits):
+    found = wire.sample.unpack(forged(wire.sample, wire.sample.pack(REPORT), **{axis: -(2 ** (bits - 1))}))
+    assert wire.sample.unpack(wire.sample.pack(REPORT)).good and not found.good
+
+
 def test_the_faults_of_a_board_are_those_of_the_file():
     for name in ("Encoder", "EncoderFd"):
         choices = DBC.get_message_by_name(name).get_signal_by_name("BoardFault").choices
@@ -315,6 +322,8 @@ def test_profile_2_needs_a_count_of_four_bits_and_the_place_of_its_bits():
 def test_data_ids_are_as_many_and_as_large_as_the_profile_has_or_the_can_identifier():
     assert data_ids("", "e2e_1", 0x381) == [0x381] and data_ids("", "e2e_5", 0x98FF0201) == [0x0201]
     assert data_ids("0x123", "e2e_1", 1) == [0x123] and data_ids("", "j1850", 1) == []
+    with pytest.raises(DbcError, match="'7' is not allowed with profile j1850, which has no data id"):
+        data_ids("7", "j1850", 1)
     for profile, most, others in (("e2e_1", 0xFFFF, ""), ("e2e_5", 0xFFFF, ""), ("e2e_2", 0xFF, " 0" * 15)):
         assert data_ids(f"{most}{others}", profile, 1)[0] == most and data_ids(f"0{others}", profile, 1)[0] == 0
         for wrong in (f"{most + 1}{others}", f"-1{others}", f"{most}{others} 0", others, "", f"one{others}"):
