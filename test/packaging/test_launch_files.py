@@ -223,7 +223,8 @@ LINEAR = "{ros__parameters: {control.law: linear}}"
         (SHIPPED, f"NS/**: {GUIDE}, NS/feedforward: {OTHER}", "other"),
         # The shipped file has that section, before the `/**` of the stage file.
         (SHIPPED, f"/**: {GUIDE}, /**/feedforward: {OWN}", "guide"),
-        (f"/**: {RATE}, NS/feedforward: {OTHER}", f"/**: {GUIDE}, NS/driver: {GUIDE}", "other"),
+        # One of the parameter file is not looked for beside the stage file.
+        (f"/**: {RATE}, NS/feedforward: {OWN}", f"/**: {GUIDE}, NS/driver: {GUIDE}", "own, by its name"),
         (f"NS/feedforward: {OTHER}, /**: {RATE}", f"/**: {GUIDE}, NS/driver: {GUIDE}", "guide"),
         (f"NS/controller: {NOTHING}, NS/feedforward: {NOTHING}, /**: {LINEAR}", f"NS/**: {GUIDE}", "guide"),
     ],
@@ -252,11 +253,13 @@ def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_descripti
             # In one process the loop is the first.
             given = nodes[named(nodes).index(node) if node in named(nodes) else 0].kwargs["parameters"]
             files = [one.perform(context) if isinstance(one, Recorded) else one for one in given]
+            assert (SHIPPED_STAGE in files) is (survey == "shipped")
             values = taken(f"{namespace}/{node}", files)
             yield values["stage.guide.file"], values.get("control.law")
 
     # A node finds what is in the working directory by itself.
     survey_of = {"guide": str(places["guide"]), "own": str(places["own"]), "other": "other.csv"}
+    survey_of["own, by its name"] = "own.csv"
     survey_of["shipped"] = SHIPPED_SURVEY
     of_all = survey_of["shipped" if survey == "shipped" else "guide"]
     assert [name for name, _ in takes()] == [of_all, survey_of[survey], of_all, of_all]
