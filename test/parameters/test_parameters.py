@@ -219,11 +219,14 @@ SECTIONS = st.lists(st.sampled_from(KEYS), min_size=1, max_size=4, unique_by=lam
 
 
 @of_examples(max_examples=40)
-@given(of_nodes=SECTIONS, of_stage=SECTIONS, namespace=st.sampled_from(["", "/stage_2"]))
+@given(of_nodes=SECTIONS, of_stage=SECTIONS, namespace=st.sampled_from(["", "/stage_2/"]))
 @example(["/**/driver", "/**"], ["/**", "driver"], "")
 @example(["/**", "/**/driver"], ["/**"], "")
 @example(["/**/driver"], ["/**", "/**/driver"], "")
 @example(["/**/driver"], ["/**:driver"], "")
+@example(["/stage_1/driver", "/stage_2/driver"], ["/stage_2/driver"], "/stage_2/")
+@example(["/stage_1/driver"], ["/stage_2/driver"], "/stage_2/")
+@example(["/stage_2/driver"], ["driver"], "")
 def test_of_all_sections_of_two_files_a_node_takes_those_that_rcl_gives_it(
     tmp_path_factory, of_nodes, of_stage, namespace
 ):
@@ -237,7 +240,7 @@ def test_of_all_sections_of_two_files_a_node_takes_those_that_rcl_gives_it(
                 section = {level: section}
             tree |= section
         file.write_text(yaml.safe_dump(tree, sort_keys=False))
-    found = [taken(f"{namespace}/driver", of).get(MASS) for of in (files[:1], files[1:], files)]
+    found = [taken(f"{namespace.rstrip('/')}/driver", of).get(MASS) for of in (files[:1], files[1:], files)]
     for file, mass in zip(files, found[:2], strict=True):
         if mass:
             read = read_parameter_file(file, namespace=namespace)
