@@ -1,6 +1,7 @@
 """Reading a survey: what is accepted, how each fault is named, where a file without names of runs is split; its runs
 on one grid, and their repeatability by its definition."""
 
+import re
 import statistics
 
 import numpy as np
@@ -679,4 +680,9 @@ def test_the_figures_are_those_of_the_standard_of_what_was_driven_often_enough_f
     # Directions weigh the same, whatever the number of their runs.
     assert found.mean == pytest.approx(np.mean([mean for mean in means if mean], axis=0) * 1e-9, abs=1e-15)
     assert found.short_of_the_standard == (min(len(forward), len(backward)) < 5)
-    assert ("deviation at most" in str(found)) == any(s) and ("hysteresis" in str(found)) == bool(reversal)
+    for words, values in (
+        ("standard deviation at most", [one for each in s for one in each]),
+        ("hysteresis", [*map(abs, reversal)]),
+    ):
+        printed = [float(number) for number in re.findall(rf", {words} (\S+) µm", str(found))]
+        assert printed == pytest.approx([max(values) * 1e-3] if values else [], abs=6e-4), words
