@@ -311,6 +311,7 @@ DEAD = {"nodes": {"driver": "active", "controller": "silent"}}
     [
         (2, [{"faults": COIL}], {}, 0, "driver: coil burnt"),
         (2, [DEAD], {}, 0, "controller (silent)"),
+        (2, [{"nodes": {"driver": "silent"}}], {}, 0, "driver (silent)"),
         (2, [{"fresh": False} | OFF], {}, 0, "no samples"),
         (0, [OFF], {}, 0, "amplifier went off"),
         (2, [OFF, OFF, OFF], {}, 2, "amplifier went off"),
