@@ -132,6 +132,9 @@ def test_the_hold_ends_where_the_platform_or_its_reference_has_left_its_place(sa
     command = held(servo)[-1]
     found = [servo.step(*sample(k), 0.0).current for k in range(free_from + 90)]
     assert found[:held_for] == [command] * held_for and command not in found[free_from:]
+    error = sample(0)[0] - sample(0)[1]
+    # Beyond the band the law acts against the error at once.
+    assert held_for or error == 0.0 or (found[0] - command) * error < 0.0
 
 
 def test_the_friction_model_is_driven_by_the_reference_and_a_share_of_the_observed_velocity():
