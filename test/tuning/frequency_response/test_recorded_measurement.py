@@ -18,6 +18,7 @@ from straightcomp_ros.offline.simulation import Simulation
 from straightcomp_ros.parameters.node_parameters import by_node
 from straightcomp_ros.parameters.parameter_file import shipped_parameters
 from straightcomp_ros.tuning.frequency_response.measured_response import measure_simulated, response_from_bag
+from straightcomp_ros.tuning.verbs import frequency_response
 
 EXCITATION = MultisineParameters(draws=8)
 
@@ -148,10 +149,17 @@ def test_a_platform_that_leaves_the_travel_ends_the_measurement(verb):
 @pytest.mark.parametrize(
     ("mass", "verdict"), [(1.4, "does not explain the plant"), *nightly([(1.0, "explains the plant")])]
 )
-def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(verb, tmp_path, mass, verdict):
-    plot = tmp_path / "loop.svg"
+def test_the_plot_the_table_the_friction_and_the_verdict_are_shown(verb, tmp_path, monkeypatch, mass, verdict):
+    plot, found = tmp_path / "loop.svg", []
+
+    def measured_once(*given, **more):
+        found.extend([] if found else [measure_simulated(*given, **more)])
+        return found[0]
+
+    monkeypatch.setattr(frequency_response, "measure_simulated", measured_once)
     options = ("--law", "linear", "--draws", "4", "--set", f"driver.simulated.truth.mass={mass}")
     code, out, err = verb("frequency-response", *options, "-o", plot)
     assert code == (mass != 1.0) and f"the description {verdict}" in " ".join((out + err).split())
     assert "phase margin" in out and "N·s/m" in err
     assert plot.read_text().startswith("<?xml")
+    assert verb("frequency-response", *options, "--json").json["model_explains_the_plant"] is (mass == 1.0)
