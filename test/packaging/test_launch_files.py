@@ -232,7 +232,7 @@ LINEAR = "{ros__parameters: {control.law: linear}}"
 def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_description_and_overrides_after_all_sections(
     tmp_path, monkeypatch, params_file, described, survey, namespace, composed
 ):
-    work, arguments = tmp_path / "work", {"namespace": namespace, "composed": composed}
+    work, arguments = tmp_path / "work", {"namespace": namespace.lstrip("/"), "composed": composed}
     work.mkdir()
     monkeypatch.chdir(work)
     places = {"guide": tmp_path / "guide.csv", "own": tmp_path / "own.csv", "other": work / "other.csv"}
@@ -246,10 +246,10 @@ def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_descripti
         Path(arguments[argument]).write_text(f"{{{text.replace('NS', namespace)}}}")
 
     def takes(**overrides):
-        """Survey and law of each node of the loop, and of the cell."""
+        """Survey and law of each node."""
         nodes = of_kind("Node", CELL, **arguments, **overrides)
         context = {"params_file": SHIPPED, **arguments}
-        for node in ("driver", "feedforward", "controller", "cell"):
+        for node in ("driver", "feedforward", "controller", "logger", "cell"):
             # In one process the loop is the first.
             given = nodes[named(nodes).index(node) if node in named(nodes) else 0].kwargs["parameters"]
             files = [one.perform(context) if isinstance(one, Recorded) else one for one in given]
@@ -262,9 +262,9 @@ def test_each_node_takes_the_survey_that_counts_from_the_folder_of_its_descripti
     survey_of["own, by its name"] = "own.csv"
     survey_of["shipped"] = SHIPPED_SURVEY
     of_all = survey_of["shipped" if survey == "shipped" else "guide"]
-    assert [name for name, _ in takes()] == [of_all, survey_of[survey], of_all, of_all]
+    assert [name for name, _ in takes()] == [of_all, survey_of[survey], *[of_all] * 3]
     overridden = [*takes(map="third.csv", law="smc")]
-    assert [name for name, _ in overridden] == [of_all, "third.csv", of_all, of_all] and overridden[2][1] == "smc"
+    assert [name for name, _ in overridden] == [of_all, "third.csv", *[of_all] * 3] and overridden[2][1] == "smc"
 
 
 def test_a_composed_cell_starts_one_process_with_the_parameters_of_each_of_its_nodes(stage):
