@@ -54,7 +54,8 @@ def in_range(kind: type[N], least: float, most: float = math.inf, unit: str = ""
 
     def within(text: str) -> N:
         with suppress(ValueError):
-            if least <= (value := kind(text)) <= most and value < math.inf:
+            # Python reads 1_0 as 10, and the digits of other scripts.
+            if text.isascii() and "_" not in text and least <= (value := kind(text)) <= most and value < math.inf:
                 return value
         allowed = f">= {least:.10g}" if most == math.inf else f"{least:.10g} to {most:.10g}"
         whole = "a whole number " if kind is int else ""

@@ -12,6 +12,7 @@ CASES = [
     ("frobnicate", "'frobnicate'"),
     ("simulate --law pid", "'pid' (choose from"),
     ("simulate --strokes 0", "--strokes: '0'; allowed: a whole number >= 1"),
+    ("simulate --strokes 1_0", "--strokes: '1_0'; allowed: a whole number >= 1"),
     ("simulate --set stage.platform.mass=-3", "-3.0 kg is too small; allowed: >= 1e-06"),
     ("simulate --set stage.platform.mass==", "'=' kg is not a number"),
     ("simulate --set stage.motion.speed=1e-5", "samples; allowed offline: <= 20000000"),
