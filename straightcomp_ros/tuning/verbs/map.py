@@ -54,6 +54,7 @@ _REJECTED = "is rejected: it differs from the others, or its outliers leave too 
 _OF_BAG = ("position", "sensor", "unit", "delay", "on_platform")
 _OF_CSV = ("x_column", "deviation_column")
 """Options that say how one kind of source is read, None where they are not given."""
+_STEP = "length that makes one point (default: %(default)g)"
 
 
 def _build_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,8 +62,7 @@ def _build_arguments(parser: argparse.ArgumentParser) -> None:
     add("source", metavar="SOURCE", help="bag, or CSV file")
     add("--output", "-o", metavar="FILE", help="write the map (CSV); without it nothing is written")
     add_force(parser)
-    step = "length that makes one point (default: %(default)g)"
-    add("--step", type=in_range(float, 0.01, 1000.0), default=10.0, metavar="MM", help=step)
+    add("--step", type=in_range(float, 0.01, 1000.0), default=10.0, metavar="MM", help=_STEP)
     add(
         "--outliers",
         type=in_range(float, 2.0, 1e6),
@@ -416,12 +416,9 @@ def _align_arguments(parser: argparse.ArgumentParser) -> None:
     add("survey", metavar="SURVEY", help="survey of the map (CSV)")
     add("sources", metavar="SOURCE", nargs="+", help="bag, or CSV file, of strokes with a displacement sensor")
     add("--output", "-o", metavar="FILE", help="write the survey corrected; without it nothing is written")
-    reach, step = (
-        "largest shift to each side (default: %(default)g)",
-        "length that makes one point (default: %(default)g)",
-    )
+    reach = "largest shift to each side (default: %(default)g)"
     add("--reach", type=in_range(float, 0.1, 1000.0), default=20.0, metavar="MM", help=reach)
-    add("--step", type=in_range(float, 0.01, 100.0), default=1.0, metavar="MM", help=step)
+    add("--step", type=in_range(float, 0.01, 100.0), default=1.0, metavar="MM", help=_STEP)
     add("--residual", action="store_true", help="the readings are what is left with this map, not the guide itself")
     add("--tilt", action="store_true", help="correct the tilt too: the sensor's line becomes the map's")
     _add_notes(parser)
