@@ -141,3 +141,9 @@ def test_a_node_of_one_process_stops_and_starts_while_the_others_run(loop, node)
     assert loop.trigger("driver/reset_fault").success
     loop.switch_on()
     loop.received(CONTROLLER_STATE)
+
+
+def test_a_controller_that_was_shut_down_is_missing_and_no_other_node_is_said_to_publish(loop):
+    assert loop.change("controller", "shutdown")
+    loop.until(lambda: loop.safety[-1].fault)
+    assert loop.safety[-1].fault.startswith("command_timeout")
