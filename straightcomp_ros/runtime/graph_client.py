@@ -66,6 +66,8 @@ from straightcomp_ros.timing.node_timing import (
 
 _TICK_S = 0.05
 _LOOK_EVERY_S = 0.5
+_BUSY_S = 0.3
+"""A node without a heartbeat for this time, of ten in a second, is in the transition that it was asked for."""
 _WARN_EVERY_S = 5.0
 _REPORT_LASTS_S = 5.0
 _LONGEST_VALUE = 4000
@@ -217,9 +219,10 @@ class GraphClient:
         return "" if self._clients[_ENABLE].ready else "the driver's service 'enable' is not available"
 
     def activate(self) -> None:
-        """Request one transition towards active of each node that is unconfigured or inactive."""
+        """Request one transition towards active of each node that is unconfigured or inactive, and not busy."""
+        busy = self._heartbeats.silent(_BUSY_S)
         for name, state in self.states.items():
-            if state in _UPWARDS:
+            if state in _UPWARDS and name not in busy:
                 request = ChangeState.Request(transition=Transition(id=_UPWARDS[state]))
                 self._change_state[name].call(request, partial(self._changed, name, state))
 

@@ -25,7 +25,14 @@ from std_srvs.srv import SetBool
 from waiting import comes_true
 
 from straightcomp_ros.cell.observation import Observation
-from straightcomp_ros.contract import COMMISSIONING_CLIENT, DIAGNOSTICS, DRIVER_STATE, SAFETY_STATE, STAGE_STATE
+from straightcomp_ros.contract import (
+    COMMISSIONING_CLIENT,
+    DIAGNOSTICS,
+    DRIVER_STATE,
+    HEARTBEAT,
+    SAFETY_STATE,
+    STAGE_STATE,
+)
 from straightcomp_ros.hardware.interface import State
 from straightcomp_ros.model.paced_motion import StageState
 from straightcomp_ros.nodes import view_node
@@ -209,6 +216,22 @@ def test_a_client_that_leaves_knows_what_became_of_the_amplifier(participant, dr
     participant.until(left.done)
     assert left.result() == {"refuses": "no", "leaves": "the driver has left the graph"}.get(end, "")
     assert asked == ([False] if end in ("answers", "refuses") else [])
+    client.streams.close()
+
+
+def test_a_node_that_is_still_in_a_transition_is_not_asked_for_it_again(participant):
+    name, calls = participant.node.get_name(), Mock()
+    client = GraphClient(participant.node, [name], batches=())
+    client._change_state[name] = calls
+    beats = participant.node.create_publisher(DiagnosticStatus, HEARTBEAT, 10)
+    participant.until(lambda: beats.get_subscription_count() and client._present)
+    for asked in (1, 2):
+        beats.publish(DiagnosticStatus(name=name, message="unconfigured"))
+        participant.until(lambda: client._heartbeats.ages[name] < 0.1)
+        client.activate()
+        participant.spin(0.6)  # it configures
+        client.activate()
+        assert calls.call.call_count == asked
     client.streams.close()
 
 
