@@ -63,8 +63,9 @@ _NAME = re.compile(
 """Names of files in an incident: none leaves the folder that it is unpacked to."""
 _SECRET = re.compile(r"passw|secret|token|credential|private_key|api_?key", re.IGNORECASE)
 _SECRET_IN_TEXT = re.compile(
-    r"(?P<name>[\w.]*(?:passw|secret|token|credential|api_?key)\w*[\"']?\s*[=:]\s*)(?P<value>[^\s,;]+)"
-    r"|(?P<user>://[^\s/:@]+:)(?P<password>[^\s/@]+)(?=@)",
+    r"(?P<name>[\w.]*(?:passw|secret|token|credential|api_?key)\w*[\"']?\s*[=:]\s*)"
+    r"(?:\"(?:[^\"\\\n]|\\.)*\"|'(?:[^'\\\n]|\\.)*'|[^\s,;]+)"
+    r"|(?P<user>://[^\s/:@]*:)[^\s/]+(?=@)",
     re.IGNORECASE,
 )
 _LEFT_OUT, NO_REASON, _NO_FAULT = "(left out)", "without a reason", "no fault"
@@ -319,7 +320,8 @@ def _without_secrets(name: str, data: bytes, left_out: list[str]) -> bytes:
 
     def replaced(match: re.Match[str]) -> str:
         known = match["name"]
-        left_out.append(f"secret: {known.strip(' =:') if known else 'a password in an address'} in {name}")
+        named = known.strip(" =:\"'") if known else "a password in an address"
+        left_out.append(f"secret: {named} in {name}")
         return f"{known or match['user']}{_LEFT_OUT}"
 
     if not name.endswith(".yaml"):
@@ -328,9 +330,12 @@ def _without_secrets(name: str, data: bytes, left_out: list[str]) -> bytes:
     def cleaned(tree: Any, path: str) -> Any:
         if isinstance(tree, Mapping):
             return {key: cleaned(one, f"{path}.{key}" if path else str(key)) for key, one in tree.items()}
-        if tree not in ("", None) and _SECRET.search(path.rpartition(".")[2]):
-            left_out.append(f"secret: {path.rpartition('ros__parameters.')[2]} in {name}")
+        parameter = path.rpartition("ros__parameters.")[2]
+        if tree not in ("", None) and _SECRET.search(parameter):
+            left_out.append(f"secret: {parameter} in {name}")
             return _LEFT_OUT
+        if isinstance(tree, list):
+            return [cleaned(one, path) for one in tree]
         return _SECRET_IN_TEXT.sub(replaced, tree) if isinstance(tree, str) else tree
 
     try:

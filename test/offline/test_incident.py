@@ -51,12 +51,13 @@ def packed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("machine")
 
     def edit(name: str, data: bytes) -> bytes:
-        secret = b"/broker:\n  ros__parameters:\n    broker_password: hunter2\n"
+        secret = b"/broker:\n  ros__parameters:\n    broker_password: hunter2\n    tokens.plc: zzz987\n    at: ['x://a:p4sswd@cell']\n"
         return data + secret * (name == "parameters.yaml")
 
     recover(SMC, folder / "bags" / "run", edit=edit)
     (folder / "bags" / "logs").mkdir()
     text = "listening\nlogin at opc.tcp://robot:s3same@cell failed, API_KEY=abc123, next\n"
+    text += "secret: \"it is \\\" h1dden\" 'token': 'be h1nd' x://:a@half@cell\n"
     (folder / "bags" / "logs" / "opcua.log").write_text(text)
     (folder / "certificate.html").write_text("<p>Passed</p>")
     found = [Finding("cores", "warn", "2", "Use more."), Finding("python", "ok", "3.12")]
@@ -76,7 +77,7 @@ def test_an_incident_has_all_that_explains_a_run_but_its_secrets_which_it_names(
     assert said.split("\n")[0] == packed.cause and "doctor there, warn: cores: 2\n" in said
     assert "0 differ in a bit" in said and "on the computer that packed it" not in said
     assert (folder / "run.png").stat().st_size > 10_000
-    secrets = (b"hunter2", b"s3same", b"abc123")
+    secrets = (b"hunter2", b"zzz987", b"p4sswd", b"s3same", b"abc123", b"h1dden", b"be h1nd", b"half@")
     attached = read_attachments(folder / "bag")["parameters.yaml"]
     assert not [one for one in secrets for data in (*contents.values(), attached) if one in data]
     for named in ("broker_password", "API_KEY in logs/opcua.log", "a password in an address in logs/opcua.log"):
