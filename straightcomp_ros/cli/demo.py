@@ -133,7 +133,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         console.print(results_table(figures))
         console.print(timing_table(figures["timing"]))
-        if result.held_up:
+        if result.held_up and not values["driver"].get("lockstep"):  # there each node waits for the others
             console.print(f"Less accurate than it could be: {result.held_up}")
         print_verdict(result.verdict)
         stroke = node_parameters("cell", values).stage.motion.stroke

@@ -105,9 +105,9 @@ def run(options: argparse.Namespace) -> None:
         console.print(results_table(figures, over_starts))
         print_verdict(verdict)
         written = [one for one in (options.bag, options.learned, plot) if one]
-        then = (
-            f"straightcomp evaluate {quote(options.bag)}" if options.bag else "straightcomp demo runs the same as nodes"
-        )
+        stage = f" --stage {quote(options.stage)}" if options.stage else ""
+        nodes = f"straightcomp demo{stage} runs the same as nodes"
+        then = f"straightcomp evaluate {quote(options.bag)}" if options.bag else nodes
         if written:
             print_written(*written, then=then)
     fail_unless_in_order(verdict)

@@ -430,11 +430,12 @@ def test_an_incident_packed_after_the_end_of_a_demonstration_does_not_refuse_the
 
 
 def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_to(spoilt, harmless, demo_of):
-    held = HeldUp(scheduling="FIFO 40")
+    held = HeldUp(late_us=5e4, scheduling="FIFO 40")
     priority = dict.fromkeys(("driver", "feedforward", "controller"), replace(summarise([]), held_up=held))
     starved = "the servo works, the computer was busy\n"
     for bag, words, options, code, saw in (
         (harmless, [], {}, 0, "ROS 2 nodes moved"),
+        (harmless, ["--lockstep"], {"timing": priority}, 0, "ROS 2 nodes moved"),
         (spoilt, [], {}, 0, starved),
         (spoilt, ["--strict"], {}, 1, starved),
         (spoilt, [], {"timing": priority}, 1, starved),
@@ -442,6 +443,7 @@ def test_a_starved_demonstration_fails_only_with_real_time_priority_or_if_asked_
     ):
         found, printed, _ = demo_of(demonstration(bag, **options), *words)
         assert found == code and f"What you saw: {saw}" in printed and (" ! " in printed) == (bag is spoilt)
+        assert ("Less accurate" in printed) == ("timing" in options and "--lockstep" not in words)
 
 
 @pytest.mark.parametrize(
