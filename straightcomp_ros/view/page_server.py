@@ -113,7 +113,12 @@ class ViewServer(ThreadingHTTPServer):
     """With the 5 of the standard library a page among many slow clients would wait for TCP's retries of seconds."""
 
     def __init__(self, port: int, series: Mapping[str, Series], actions: Mapping[str, Action]) -> None:
-        super().__init__(("127.0.0.1", port), _Handler)
+        try:
+            super().__init__(("127.0.0.1", port), _Handler)
+        except OSError as error:
+            raise OSError(
+                f"port {port} on 127.0.0.1: {error.strerror}; name another by --port, 0 takes a free one"
+            ) from None
         self._series, self.actions = series, dict(actions)
         self._state: dict[str, object] = {}
         self._shown = threading.Lock()

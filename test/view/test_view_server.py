@@ -78,6 +78,11 @@ def test_the_page_is_for_this_machine_under_its_own_names_and_needs_nothing_from
     assert ask(server, "GET", "/etc/passwd")[0] == 404
 
 
+def test_a_port_that_is_taken_is_refused_with_what_to_do(server):
+    with pytest.raises(OSError, match=f"^port {server.server_port} on 127.0.0.1: Address already in use; name another"):
+        ViewServer(server.server_port, {}, {})
+
+
 def test_every_page_has_the_one_style_sheet_and_pictures_its_colours(server):
     docs = REPOSITORY / "docs"
     pages = ask(server, "GET", "/")[2].decode(), html_page("a", "a", "", []), (docs / "css" / "style.css").read_text()
