@@ -17,7 +17,7 @@ class BagError(ValueError):
 
 
 class NoBag(BagError):
-    """What is named as a bag is none: there is no such file or folder, or it is something else."""
+    """What is named as a bag is none, or no new one can be begun there: the text says what is there."""
 
 
 WARNINGS = RLock()

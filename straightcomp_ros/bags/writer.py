@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, NoBag
 from straightcomp_ros.bags.information import ROOT_KEY, BagFile, as_yaml, bag_information
 from straightcomp_ros.bags.mcap_output import McapOutput
 from straightcomp_ros.bags.topics import Topic
@@ -69,10 +69,10 @@ class BagWriter:
         self._channel_ids: dict[str, int] = {}
         self._custom_data: dict[str, str] = {}
         self._closed, self._synced, self._named = False, 0.0, set[Path]()
-        with self._disk(f"bag {directory} cannot be made"):
+        with self._disk(f"bag {directory} cannot be made", NoBag):
             self.directory.mkdir(parents=True, exist_ok=True)
             if any(self.directory.iterdir()):
-                raise BagError(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
+                raise NoBag(f"bag {directory}: the folder is not empty; name a new one, bags are never overwritten")
             self._open_file()
 
     def add(self, topic: Topic) -> None:
@@ -251,12 +251,12 @@ class BagWriter:
             raise BagError(f"bag {self.directory} is closed; write before close()")
 
     @contextmanager
-    def _disk(self, failure: str) -> Iterator[None]:
+    def _disk(self, failure: str, kind: type[BagError] = BagError) -> Iterator[None]:
         self._check_open()
         try:
             yield
         except OSError as error:
-            raise BagError(f"{failure}: {error.strerror}; check path, permissions and free space") from error
+            raise kind(f"{failure}: {error.strerror}; check path, permissions and free space") from error
 
     def __enter__(self) -> BagWriter:
         return self

@@ -8,6 +8,7 @@ from shlex import quote
 
 from straightcomp_ros.analysis.judgement import Verdict, worst
 from straightcomp_ros.analysis.record import StrokeRecord
+from straightcomp_ros.bags import BagError
 from straightcomp_ros.bags.simulated_run import SimulatedRun
 from straightcomp_ros.cli.options import (
     PICTURES,
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> None:
                 found = [simulated_run(*one, values) for one in runs]
             over_starts = spreads(one.metrics.to_display() for one in found)
             verdict = _worst(found, "start")
-    except (ParameterError, SurveyError):
+    except (BagError, ParameterError, SurveyError):
         raise
     except ValueError as error:
         # Among others: the position or the current became infinite.

@@ -57,9 +57,13 @@ def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str
         except UnicodeDecodeError as error:
             failed = error
     else:
-        raise SurveyError(f"survey {path}: byte {failed.start} is not UTF-8; save the file as UTF-8 text") from failed
+        raise SurveyError(
+            f"survey {path}: byte {failed.start} is not UTF-8; save it as UTF-8 text, a spreadsheet as CSV"
+        ) from failed
     if "\0" in text:
-        raise SurveyError(f"survey {path}: character {text.index(chr(0))} is NUL; save the file as UTF-8 text")
+        raise SurveyError(
+            f"survey {path}: character {text.index(chr(0))} is NUL; save it as UTF-8 text, a spreadsheet as CSV"
+        )
     for number, raw in enumerate(text.splitlines(), start=1):
         if len(raw) > _LONGEST_LINE:
             raise SurveyError(f"survey {path}, line {number}: {len(raw)} characters; allowed: <= {_LONGEST_LINE}")

@@ -87,12 +87,13 @@ CASES = [
     ("bench graph --against sync=1", "allowed: NODE.NAME=VALUE"),
     ("demo --opcua --lockstep", "--opcua runs in real time; allowed without --lockstep"),
     ("bench graph --priority 99", "parameter 'realtime.priority': 99 is too large"),
-]
-IMPOSSIBLE = [
     ("simulate --bag noise.mcap", "bag noise.mcap cannot be made: File exists"),
-    ("evaluate empty.mcap", "is empty: the recording was never started"),
     (f"recover {SMC} -o noise.mcap", "noise.mcap cannot be made: File exists"),
     ("simulate --bag loop", "bag loop cannot be made"),
+    (f"recover {SMC} -o {SMC}", "the folder is not empty; name a new one"),
+]
+IMPOSSIBLE = [
+    ("evaluate empty.mcap", "is empty: the recording was never started"),
     ("frequency-response --period 0.0001", "period"),
     ("frequency-response --period 0.0015 --lowest 700", "period"),
     ("frequency-response --period 0.01 --lowest 100 --draws 3", "draws"),
