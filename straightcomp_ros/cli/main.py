@@ -93,8 +93,11 @@ def main(
         if not found:
             raise CommandFailed("no verb is installed; remedy: pip install straightcomp_ros, in a checkout make setup")
         parser = make_parser(given[:2] if named else [], found, program)
-        options = parser.parse_args(given or ["--help"])
+        options, unknown = parser.parse_known_args(given or ["--help"])
         words += filter(None, (options.verb, getattr(options, "tool", None)))
+        if unknown:
+            left = " ".join(unknown)
+            raise CommandFailed(f"unrecognized arguments: {left}; see {' '.join(words)} --help", exit_code=2)
         code = int(options.run(options) or 0)
         sys.stdout.flush()
         return code

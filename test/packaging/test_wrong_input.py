@@ -34,6 +34,7 @@ CASES = [
     ("simulate --params-file folder", "folder: cannot be read: Is a directory"),
     ("simulate --plot none/run.png", "--plot none/run.png: there is no folder none"),
     ("simulate --plot run.docx", "ends with .png, .svg, .pdf"),
+    ("stage check --stag stage.yaml x", "unrecognized arguments: --stag x; see straightcomp stage check --help"),
     ("evaluate none", "bag none does not exist"),
     ("evaluate folder", "bag folder"),
     (f"evaluate {SMC} --remap encoder", "allowed: OURS:=THEIRS"),
