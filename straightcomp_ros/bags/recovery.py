@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
-from straightcomp_ros.bags import BagError
+from straightcomp_ros.bags import BagError, noting_warnings
 from straightcomp_ros.bags.folder import compressed_messages, found_files
 from straightcomp_ros.bags.mcap_input import (
     FRAME,
@@ -96,10 +96,12 @@ def recover(
     original is only read. The first ``skip`` messages are left out; ``edit`` changes attachments, given their name and
     content. Raises BagError when there is no MCAP file, or the new bag cannot be written."""
     bag, output = Path(bag), Path(output)
-    paths, missing_files = found_files(bag)
+    result = Recovery(output)
+    with noting_warnings() as left_out:
+        paths, missing_files = found_files(bag)
+    result.gaps += [(bag.name, 0, 0, text) for text in left_out]
     if paths[0].suffix == ".db3":
         raise BagError(f"bag {bag} is stored as sqlite3; this needs MCAP: `ros2 bag convert`")
-    result = Recovery(output)
     readable, refused = list[Path](), list[BagError]()
     for path in paths:
         try:

@@ -133,6 +133,13 @@ def test_a_file_that_cannot_be_read_costs_its_own_messages_and_the_copy_is_no_wh
     assert verb("evaluate", tmp_path / "new", "--json").json["verdict"] == "interrupted"
 
 
+def test_a_copy_without_a_file_that_metadata_yaml_does_not_list_is_not_all_of_the_folder(tmp_path):
+    files = split_run(tmp_path / "run", 2, sound_messages()[:600])
+    described(tmp_path / "run", relative_file_paths=[files[0].name])
+    result = recover(tmp_path / "run", tmp_path / "new")
+    assert not result.whole and f"does not list {files[1].name}" in result.gaps[0][3]
+
+
 def test_a_bag_may_have_more_files_than_a_process_may_open(tmp_path):
     found = sound_messages()[:600]
     split_run(tmp_path / "run", 60, found)
