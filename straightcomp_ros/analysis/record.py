@@ -38,6 +38,8 @@ _NEAR = 1e-3
 """Distance in m of recorded positions, over which a curvature of 1e-3 1/m makes 0.1 nm."""
 _FASTEST_CHANGE = 1000.0
 """Acceleration in m/s² that no linear motor gives a stage: the fastest reach some 300."""
+_MOST = 1000.0
+"""Metres and amperes that no machine has: figures over x would take all memory."""
 
 
 class MetricsError(ValueError):
@@ -111,14 +113,15 @@ class StrokeRecord:
         return replace(self, **columns)
 
     def check_finite(self, names: Iterable[str], window: slice) -> None:
-        """Raise MetricsError if there is NaN or infinity in the columns ``names`` within ``window``."""
+        """Raise MetricsError if the columns ``names`` within ``window`` have a number that no machine has."""
         for name in names:
             column = self.columns()[name]
-            bad = np.flatnonzero(~np.isfinite(column[window])) + (window.start or 0)
+            most = np.inf if name == "time" else _MOST
+            bad = np.flatnonzero(~(np.abs(column[window]) < most)) + (window.start or 0)
             if bad.size:
                 raise MetricsError(
                     f"record: {name} is {column[bad[0]]} at sample {bad[0]} ({self.time[bad[0]]:.6g} s), "
-                    f"one of {bad.size}; allowed: finite numbers"
+                    f"one of {bad.size}; allowed: numbers between {-most:g} and {most:g}"
                 )
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -109,14 +110,18 @@ def test_without_truth_the_true_figures_are_missing(make_record, cosine_map):
 
 
 @pytest.mark.parametrize("column", ["x", "current", "guide"])
-def test_what_is_not_finite_is_refused_with_its_first_place_and_how_many_there_are(make_record, cosine_map, column):
+def test_what_is_no_number_of_a_machine_is_refused_with_its_first_place_and_how_many_there_are(
+    make_record, cosine_map, column
+):
     record = make_record()
-    for value in (np.nan, np.inf):
+    for value in (np.nan, np.inf, -1e300, 1000.0):
         values = record.columns()[column].copy()
         values[[5000, 6000]] = value
         broken = dataclasses.replace(record, **{column: values})
         for judge in (evaluate, lambda *run: verdict_on(*run, {})):
-            with pytest.raises(MetricsError, match=rf"record: {column} is {value} at sample 5000 \(2.5 s\), one of 2"):
+            with pytest.raises(
+                MetricsError, match=rf"record: {column} is {re.escape(str(value))} at sample 5000 \(2.5 s\), one of 2"
+            ):
                 judge(broken, cosine_map)
 
 
