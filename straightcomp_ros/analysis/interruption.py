@@ -242,7 +242,8 @@ def clock_jump(samples: StreamColumns) -> str:
     # By their bytes: NaN is the same reading as NaN.
     readings = np.stack([x, samples.columns["y"]])[:, order].view(np.int64)
     repeated = np.count_nonzero(same & (np.diff(readings, axis=1) != 0).any(axis=0))
-    return f"{repeated} stamps came twice, with other readings: the clock was set back" if repeated else ""
+    why = "the clock was set back, or two nodes publish samples"
+    return f"{repeated} stamps came twice, with other readings: {why}" if repeated else ""
 
 
 def _sides(before: slice, after: slice, most: int) -> tuple[slice, slice]:
