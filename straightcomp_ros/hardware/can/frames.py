@@ -30,6 +30,7 @@ from fastcrc import crc8, crc16
 
 from straightcomp_ros.hardware.can.dbc_file import (
     FLOATS,
+    LARGEST_FLOAT,
     DbcError,
     byte_order,
     in_page,
@@ -45,6 +46,10 @@ from straightcomp_ros.hardware.interface import State
 if TYPE_CHECKING:
     from cantools.database.can import Message, Signal
 
+_EXACT, _DIGITS = 17, 15
+"""Significant digits: those that keep a float to the bit, and those that make 900000 µA to 0.9 A."""
+_ROUNDED = 1e-12
+"""Share of an end by which a float may be beyond it: that of scales and units."""
 _NEW = tuple.__new__
 """Makes a named tuple in half the time of the class's own constructor."""
 _BY_CODE = "fault"
@@ -261,7 +266,7 @@ class Frames:
         self.period = (message.cycle_time or 0) * 1e-3
         counts = modulus(fields["alive"]) if "alive" in fields else 1
         self.alive_modulus = min(counts, (crc and PROFILES[crc.profile].reserved) or counts)
-        self.spans = {field: self._span(field) for field in self.factors}
+        self.spans = {field: self._span(field, _DIGITS) for field in self.factors}
         self.kind, self._no_fault = kind or tuple, no_fault
         self._order: list[str] = list(kind._fields if kind else fields)
         orders = {byte_order(signal) for signal in message.signals}
@@ -293,9 +298,11 @@ class Frames:
         signal = self.fields[field]
         return 0.0 if signal.is_float else abs(signal.scale * self.factors[field])
 
-    def _span(self, field: str) -> tuple[float, float]:
-        signal, factor = self.fields[field], self.factors[field]
-        least, largest = sorted((raw * signal.scale + signal.offset) * factor for raw in self._ends(field))
+    def _span(self, field: str, digits: int) -> tuple[float, float]:
+        """Least and largest value in SI units, with so many digits; never infinite, so that no reading may be."""
+        scale, offset = self._line(field)
+        ends = (float(f"{raw * scale + offset:.{digits}g}") for raw in self._ends(field))
+        least, largest = sorted(min(max(end, -LARGEST_FLOAT[64]), LARGEST_FLOAT[64]) for end in ends)
         return least, largest
 
     def _ends(self, field: str) -> tuple[float, float]:
@@ -358,7 +365,7 @@ class Frames:
             elif self.kind is Report and field == "current":
                 beyond = at, math.nan
             if beyond:
-                ends.append((at, *sorted(raw * scale + offset for raw in self._ends(field)), *beyond))
+                ends.append((at, *self._span(field, _EXACT), *beyond))
         by_code = "amplifier" in shown and self.values["amplifier"][State.FAULT] < 0
         return bits, counted, decoders, numbers, absent, ends, by_code
 
@@ -432,7 +439,9 @@ class Frames:
                 continue
             if (signal.length == 64 and letter and signal.minimum is None) or (field == "x" and self.wraps):
                 least = largest = math.nan
-            elif field in self.factors and not letter:
+            elif letter:
+                least, largest = least - _ROUNDED * abs(least), largest + _ROUNDED * abs(largest)
+            elif field in self.factors:
                 # A number is refused from half a step beyond the end on.
                 least, largest = math.nextafter(least - 0.5, math.inf), math.nextafter(largest + 0.5, -math.inf)
             rows.append((at, scale, offset or 0, least, largest, mask, place, letter, field))

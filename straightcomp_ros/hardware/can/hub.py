@@ -120,7 +120,7 @@ KINDS: Mapping[str, Callable[[Frame, random.Random], list[Frame]]] = {
     "corrupt": _corrupt,
     # Any content: one in 256 passes the CRC.
     "garble": lambda frame, chance: [frame._replace(data=chance.randbytes(len(frame.data)))],
-    "truncate": lambda frame, chance: [frame._replace(data=frame.data[: chance.randrange(len(frame.data))])],
+    "truncate": lambda frame, chance: [frame._replace(data=frame.data[: chance.randrange(len(frame.data) or 1)])],
     "wrong_id": lambda frame, chance: [frame._replace(identifier=frame.identifier ^ 1 << chance.randrange(11))],
     "error_frame": lambda frame, _: [Frame(frame.stamp_ns, 0x20, ERROR, bytes(8)), frame],
     # A request for the frame, which a bus has in the classic format alone.

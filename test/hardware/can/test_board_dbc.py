@@ -215,6 +215,13 @@ def test_a_unit_is_its_prefix_of_the_si_unit(role):
         assert spans[role][1] == pytest.approx(factor * (5 if si == "A" else 2000), rel=1e-12)
 
 
+def test_a_value_may_be_at_the_limit_that_the_file_has_in_another_unit(edited):
+    command = foreign(dbc=edited('[-2|2] "A" DSP', '[-900000|900000] "uA" DSP')).command
+    assert command.unpack(command.pack(Command(0, True, False, 0.9, 0))).current == pytest.approx(0.9)
+    sample = foreign(dbc=edited('[-2000|2000] "um"', '[-4000|4000] "um"')).sample
+    assert sample.unpack(sample.pack(REPORT._replace(y=0.004), 0)).good
+
+
 def test_two_readings_at_rest_differ_by_two_and_a_half_counts_of_the_coarser_of_frame_and_encoder():
     wire = SPLIT.make_wire()
     assert (wire.noise("x", 0.0), wire.noise("y", 0.0)) == pytest.approx((2.5e-7, 1.25e-7))

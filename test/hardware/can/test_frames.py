@@ -132,6 +132,13 @@ def test_beyond_the_limits_of_the_dbc_a_reading_is_not_good_and_a_current_no_num
         assert found.current == value if found.good else math.isnan(found.current)
 
 
+@pytest.mark.parametrize("raw", [math.nan, math.inf, -math.inf, 1.7e308])
+def test_a_reading_that_is_no_finite_number_in_metres_is_not_good(raw):
+    signal = Signal("x", 0, 64, conversion=LinearConversion(2.0, 0.0, True))
+    frames = Frames(Message(1, "One", 8, [signal]), 1, {"x": signal}, {"x": 1.0}, None, Report)
+    assert not frames.unpack(struct.pack("<d", raw)).good and math.isfinite(frames.spans["x"][1])
+
+
 @BUSES
 @pytest.mark.parametrize(("axis", "bits"), [("StageX", 26), ("PlatformY", 20)])
 def test_the_shipped_file_does_not_allow_the_lowest_raw_value_of_a_reading(wire, axis, bits):

@@ -259,6 +259,7 @@ def test_a_damaged_frame_is_damaged_in_all_the_ways_of_its_kind_and_in_no_other(
     assert wrong_bits > {1 << bit for bit in range(96)} and {bits.bit_count() for bits in wrong_bits} == {1, 2}
     assert len(garbled) == 3000 and {len(one.data) for one in corrupt | garbled} == {12}
     assert {one.data for one in found("truncate", "data")} == {SENT.data[:end] for end in range(12)}
+    assert all(Faults({kind: 1.0})(SENT._replace(data=b"")) for kind in ("corrupt", "garble", "truncate"))
     assert {one.identifier for one in found("wrong_id", "identifier")} == {SENT.identifier ^ 1 << n for n in range(11)}
 
 
