@@ -434,7 +434,7 @@ class Frames:
                 continue
             at, (scale, offset), (least, largest) = self._order.index(field), self._line(field), self._ends(field)
             if field in self.values:
-                raw_of = sent_values(self.values[field])
+                raw_of = sent_values(self.values[field]) if field == "amplifier" else self.values[field]
                 said.append((at, {meaning: (raw & mask) << place for meaning, raw in raw_of.items()}))
                 continue
             if (signal.length == 64 and letter and signal.minimum is None) or (field == "x" and self.wraps):
@@ -492,10 +492,10 @@ def _float_bits(letter: str, value: float) -> int:
 
 
 def sent_values(values: Mapping[Any, int]) -> dict[Any, int]:
-    """The raw value that says each meaning, also for those that have none of their own (-1).
+    """The raw value that says each state of the amplifier, also those that have none of their own (-1).
 
     For "off" that is any that is free; for "fault", which the fault code says, that for "off".
     """
     free = next(raw for raw in range(len(values) + 1) if raw not in values.values())
     sent = {meaning: raw if raw >= 0 else free for meaning, raw in values.items()}
-    return sent | {State.FAULT: sent[State.OFF]} if values.get(State.FAULT, 0) < 0 else sent
+    return sent | {State.FAULT: sent[State.OFF]} if values[State.FAULT] < 0 else sent

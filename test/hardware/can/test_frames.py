@@ -350,7 +350,7 @@ def test_a_state_is_that_whose_raw_value_it_has_or_else_off_or_what_the_fault_co
     said = dict(zip(State, (off, on, fault), strict=True))
     fields["good"].is_signed = True
     described.refresh()
-    values = {"amplifier": said, "good": {False: -2, True: 1}}
+    values = {"amplifier": said, "good": {False: -2, True: -1}}
     frames = Frames(described, 1, fields, {}, values, Report, no_fault=2)
     meanings = {raw: state for state, raw in said.items() if raw >= 0}
     for raw, code, good in itertools.product(range(4), range(4), range(-2, 2)):
@@ -361,11 +361,12 @@ def test_a_state_is_that_whose_raw_value_it_has_or_else_off_or_what_the_fault_co
                 frames.unpack(payload)
         else:
             report = frames.unpack(payload)
-            assert (report.amplifier, report.fault, report.good) == (expected, code, good == 1)
+            assert (report.amplifier, report.fault, report.good) == (expected, code, good == -1)
             assert frames.unpack(frames.pack(report)) == report
             sent = described.decode(frames.pack(report))["Amplifier"]
             unmarked = State.OFF if expected is State.FAULT and fault < 0 else expected
             assert sent == said[unmarked] or said[unmarked] < 0
+            assert described.decode(frames.pack(report))["Good"] == (-1 if good == -1 else -2)
 
 
 @pytest.mark.parametrize("is_signed", [True, False])
