@@ -224,12 +224,14 @@ class CanParameters:
         return wire_of(SHIPPED_DBC, 0, shipped_wire(self.fd), self.node, self.fd)
 
     def further_options(self) -> dict[str, str]:
-        """The pairs in ``options``; raises ParameterError for one that is not NAME=VALUE."""
+        """The pairs in ``options``; raises ParameterError for one that is not NAME=VALUE, or has a parameter."""
         pairs = {}
         for text in self.options.split():
             name, equals, value = text.partition("=")
             if not (name.isidentifier() and equals):
                 raise RefusedParameter("options", f"'{text}' is not allowed; allowed: NAME=VALUE")
+            if name in vars(self):
+                raise RefusedParameter("options", f"'{text}' is not allowed; '{{group}}{name}' is for that")
             pairs[name] = value
         return pairs
 

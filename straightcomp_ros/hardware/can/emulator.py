@@ -11,6 +11,7 @@ this process only answers what the encoders read; in lockstep (trials/can.py) it
 import contextlib
 import dataclasses
 import math
+import os
 import socket
 import struct
 import subprocess
@@ -278,7 +279,8 @@ class BoardProgram:
         self._name, self._started = can.firmware, False
         self.socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            command = [can.firmware, f"machine={theirs.fileno()}", f"bus={bus}", f"lead_ns={lead_ns}"]
+            program = os.path.abspath(os.path.expanduser(can.firmware))  # no name to look for in PATH
+            command = [program, f"machine={theirs.fileno()}", f"bus={bus}", f"lead_ns={lead_ns}"]
             command += program_arguments(can, parameters, stage)
             try:
                 self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()])

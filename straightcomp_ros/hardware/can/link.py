@@ -41,16 +41,20 @@ def check_interface(parameters: CanParameters) -> None:
 
 
 def opened_bus(parameters: CanParameters, filters: Sequence[dict[str, Any]] | None = None) -> can.BusABC:
-    """Open the bus; raises can.CanError or OSError, and with some interfaces other errors of their drivers."""
+    """Open the bus; raises can.CanError."""
     further: dict[str, Any] = {"data_bitrate": parameters.data_bitrate} if parameters.fd else {}
-    return can.Bus(
-        interface=parameters.interface,
-        channel=parameters.channel,
-        bitrate=parameters.bitrate,
-        fd=parameters.fd,
-        can_filters=filters,
-        **{**parameters.further_options(), **further},
-    )
+    try:
+        return can.Bus(
+            interface=parameters.interface,
+            channel=parameters.channel,
+            bitrate=parameters.bitrate,
+            fd=parameters.fd,
+            can_filters=filters,
+            **{**parameters.further_options(), **further},
+        )
+    except Exception as error:
+        # Interfaces of python-can raise any error of their drivers.
+        raise can.CanInitializationError(str(error)) from error
 
 
 class Link:

@@ -356,3 +356,5 @@ def test_options_of_an_interface_are_pairs_of_a_name_and_a_value():
     for wrong in ("name", "a-b=1", "=1", "a=1 b"):
         with pytest.raises(ParameterError, match="NAME=VALUE"):
             CanParameters(options=wrong)
+    with pytest.raises(ParameterError, match=r"'bitrate=500000' is not allowed; 'can\.bitrate' is"):
+        board_of(FOREIGN_FILE, options="tty=x bitrate=500000")

@@ -288,9 +288,13 @@ def test_the_frames_in_c_are_those_of_the_dbc():
         assert written == text, name
 
 
-def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path):
+def test_a_program_that_is_not_there_or_has_too_few_arguments_says_so(firmware, tmp_path, monkeypatch):
     with pytest.raises(HardwareError, match=r"firmware '.*nothing' cannot be started: No such file"):
         Pair(FD, tmp_path / "nothing")
+    (tmp_path / "board").touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(HardwareError, match="firmware 'board' cannot be started: Permission denied"):
+        Pair(FD, "board")
     for words in ([], ["nonsense=1"], ["node=one"], ["node"]):
         done = subprocess.run([firmware / "board_posix", *words], capture_output=True, text=True, timeout=60)
         assert done.returncode == 1 and f"argument {repr(words[0]) if words else 'machine=...'} is " in done.stderr

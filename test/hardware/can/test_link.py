@@ -15,7 +15,7 @@ from straightcomp_ros.hardware.can.dbc_file import EXTENDED_ID
 from straightcomp_ros.hardware.can.frame_log import RecordedBus
 from straightcomp_ros.hardware.can.hub import ERROR, FD_FRAME, REMOTE, Frame
 from straightcomp_ros.hardware.can.hub_bus import frame_of, message_of
-from straightcomp_ros.hardware.can.link import Link, filter_of
+from straightcomp_ros.hardware.can.link import Link, filter_of, opened_bus
 from straightcomp_ros.nodes.dsp_emulator import Emulator
 from straightcomp_ros.parameters.declaration import ParameterError
 from straightcomp_ros.parameters.node_parameters import node_parameters
@@ -223,6 +223,11 @@ def test_to_start_again_opens_the_bus_anew_and_a_bus_that_opens_after_the_close_
 def test_an_unknown_interface_is_refused_with_those_that_are_known():
     with pytest.raises(ParameterError, match=r"'pigeon' is not known; allowed: .*socketcan"):
         Link(CanParameters(interface="pigeon"), [], lambda *_: None, time.time_ns)
+
+
+def test_whatever_error_an_interface_raises_is_one_of_the_bus():
+    with pytest.raises(can.CanError, match="channel must be an integer"):
+        opened_bus(CanParameters(interface="kvaser", channel="first"))
 
 
 def test_an_emulated_board_gets_its_frames_with_data_and_says_once_what_its_bus_lacks(monkeypatch, capsys):
