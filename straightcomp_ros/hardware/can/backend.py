@@ -281,9 +281,8 @@ class CanHardware(Hardware):
         for words, count in self._upsets().items():
             if count != self._seen[words]:
                 return Fault.BOARD, words
-        silence = self._silence(now_ns)
-        if silence is not None:
-            return silence
+        if found := self._idle() or self._silence(now_ns):
+            return found
         if reported is State.ON:
             # By a command that was sent: "on" goes out with a current only.
             self._was_on = True
@@ -294,6 +293,13 @@ class CanHardware(Hardware):
             return Fault.BOARD, "the board switched the amplifier off"
         elif now_ns > self._deadline_ns:
             return Fault.BOARD, f"the board did not switch on {self._within}"
+        return None
+
+    def _idle(self) -> Finding | None:
+        """The fault if the board's heartbeat says that it does not work."""
+        state, operational = self._receiver.node_state, self._wire.meaning.heartbeat.operational_value
+        if self._wire.heartbeat and state != operational:
+            return Fault.BOARD, f"the board's heartbeat says state {state}, not {operational} (operational)"
         return None
 
     def _silence(self, now_ns: int) -> Finding | None:
@@ -317,11 +323,8 @@ class CanHardware(Hardware):
         heartbeat = self._wire.heartbeat
         if (heartbeat and not receiver.heartbeat_ns) or not receiver.status_ns or not receiver.newest_ns:
             return self._no_word
-        operational = self._wire.meaning.heartbeat.operational_value
-        if heartbeat and receiver.node_state != operational:
-            return f"the board's heartbeat says state {receiver.node_state}, not {operational} (operational)"
-        if silence := self._silence(now_ns):
-            return silence[1]
+        if found := self._idle() or self._silence(now_ns):
+            return found[1]
         return "" if self._wanted else _UNREADY.get(receiver.amplifier, "")
 
     def _latch(self, found: Finding) -> None:

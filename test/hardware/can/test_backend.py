@@ -186,6 +186,11 @@ def no_heartbeat(world):
     assert world.host.fault[1].endswith(" ms")
 
 
+def stopped(world):
+    beat = world.wire.heartbeat
+    world._receive(Frame(world.now, beat.identifier, 0, beat.pack((4,))), world.now)
+
+
 def bus_off(world):
     for classes, state in ((0x04, 0x10), (0x40, 0)):
         assert world.host.state is State.ON
@@ -210,6 +215,7 @@ def too_large_a_current(world):
         (silence, "sample for 5."),
         (no_heartbeat, "heartbeat for 150."),
         (World.power_up, "boot-up"),
+        (stopped, "heartbeat says state 4, not 5"),
         (bus_off, "bus-off"),
         (four_bad_frames, "checks"),
         (too_large_a_current, "current range"),
