@@ -270,10 +270,11 @@ def dragging(motion: JudgedMotion) -> float:
     velocity = np.sign(np.gradient(motion.r, time))
     if abs(float(np.mean(velocity[moving] * ways[moving]))) > _SAME_WAY:
         return 0.0
-    terms = np.column_stack([np.ones(time.size), motion.y, velocity, ways])[moving]
+    # The cable's own slope is no rest: it grows with x.
+    terms = np.column_stack([np.ones(time.size), motion.y, motion.x, velocity, ways])[moving]
     factors, *_ = np.linalg.lstsq(terms, current[moving], rcond=None)
     rest = float(np.std(current[moving] - terms @ factors))
-    friction, drag = np.abs(factors[2:]).tolist()
+    friction, drag = np.abs(factors[3:]).tolist()
     at_ends, elsewhere = (float(np.mean(error[mask] ** 2)) if mask.any() else 0.0 for mask in (ends, ~ends))
     return drag if drag > max(friction, rest) and at_ends > _AT_REVERSALS * elsewhere > 0.0 else 0.0
 

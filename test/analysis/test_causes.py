@@ -186,6 +186,10 @@ def test_drag_is_told_from_friction_an_offset_and_a_spring(friction, drag, waves
     current = 0.2 + 500.0 * r + friction * np.sign(np.gradient(r)) + drag * ways
     run = {"r": r, "x": THERE_AND_BACK, "y": r, "current": current}
     assert dragging(motion(error, **run)) == pytest.approx(found, abs=1e-3)
+    # A cable pushes back too, the more the farther the stage has come.
+    assert dragging(motion(error, **{**run, "current": current + 0.5 * THERE_AND_BACK})) == pytest.approx(
+        found, abs=1e-3
+    )
     # Neither an error that is made everywhere, nor a current that mostly does something else.
     assert dragging(motion(3e-6 + error, **run)) == 0.0
     assert dragging(motion(error, **{**run, "current": current + 0.1 * np.sin(40.0 * TIME)})) == 0.0
