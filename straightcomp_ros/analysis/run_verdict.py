@@ -289,7 +289,8 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
             return Verdict(
                 words.MAINS,
                 f"the mains' hum of {of_mains.at:.1f} Hz moves the platform {amplitude}; it is there at every "
-                "speed; look at the grounding and the shields of amplifier and encoder",
+                "speed; look at the grounding and the shields of amplifier and encoder; what is left of a force "
+                "control.filters.mains.frequency takes off",
             )
         if waves := causes.locked_to_x(motion):
             return Verdict(

@@ -172,7 +172,7 @@ CASES = {
         ("oscillates", "", motion(HIDDEN, r=0.1 * R, count=1e-9, fit=None)),
     ],
     "a line of the mains is told from one of the loop by its frequency, and by its phase if it wanders": [
-        ("mains", r"hum of 50\.\d Hz", motion(SMALL + 0.3e-6 * sine(50.05))),
+        ("mains", r"hum of 50\.\d Hz.*control.filters.mains", motion(SMALL + 0.3e-6 * sine(50.05))),
         ("mains", r"hum of 360\.\d Hz", motion(SMALL + 0.3e-6 * sine(360.1))),
         ("oscillates", "51 Hz", motion(SMALL + 0.3e-6 * sine(51.0))),
         ("oscillates", "", motion(SMALL + 0.3e-6 * np.sin(2.0 * np.pi * 50.0 * TIME + 5.0 * SMALL / 0.05e-6))),
