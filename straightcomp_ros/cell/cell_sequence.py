@@ -279,8 +279,8 @@ class CellSequence:
         if order is Order.OVERRIDE and not 0 <= argument <= 100:
             return f"override {argument} % is out of range; allowed: 0 to 100 %"
         if order is Order.JOG:
-            if self.state is not State.EXECUTE or strokes:
-                return "Jog is not accepted while strokes are run, or without them; accepted in Execute with 0 strokes"
+            if strokes:
+                return "Jog is not accepted while strokes are run; accepted in Execute with 0 strokes"
             if self._jog or not self.seen.at_rest:
                 return "Jog is not accepted while the stage moves"
             if self.centred or not 0 < abs(argument) <= _FARTHEST_JOG_UM:

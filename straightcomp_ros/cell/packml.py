@@ -63,7 +63,7 @@ ACCEPTED: Mapping[Command, Mapping[State, State]] = {
 }
 """By command: the states that accept it, each with the state that follows."""
 ORDERED_IN = (State.IDLE, State.EXECUTE, State.HELD, State.COMPLETE)
-"""States that accept an order: the nodes work and no other transition is running."""
+"""States that accept an order, but for a jog: the nodes work and no other transition is running."""
 
 DONE: Mapping[State, State] = {
     State.RESETTING: State.IDLE,
@@ -92,7 +92,8 @@ FAILED: Mapping[State, State] = {
 
 def refusal(asked: Command | Order, state: State) -> str:
     """Why ``state`` does not accept a command or an order; empty if it does."""
-    accepting = ORDERED_IN if isinstance(asked, Order) else tuple(ACCEPTED[asked])
+    ordered = (State.EXECUTE,) if asked is Order.JOG else ORDERED_IN
+    accepting = ordered if isinstance(asked, Order) else tuple(ACCEPTED[asked])
     if state in accepting:
         return ""
     return f"{name(asked)} is not accepted in state {name(state)}; accepted in: {', '.join(map(name, accepting))}"

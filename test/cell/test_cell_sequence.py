@@ -251,6 +251,9 @@ def test_a_slower_movement_is_awaited_however_long_it_takes():
 
 
 def test_a_jog_moves_the_stage_while_the_platform_is_compensated_and_no_stroke_runs():
+    bench = Bench()
+    bench.give(Command.RESET, State.IDLE)
+    assert not bench.ordered(Order.JOG, 100) and bench.sequence.message.endswith("accepted in: Execute")
     bench = started(1)
     assert not bench.ordered(Order.JOG, 100) and "0 strokes" in bench.sequence.message
     bench, answers = started(0), []
