@@ -89,7 +89,7 @@ class SimulatedHardware(Hardware):
         parameters: of the board, and how the machine differs from its description.
         stage: the description.
         guide: the true deviation δ(x).
-        x: position of the stage at the start, m; by default :func:`switched_on_at`.
+        x: where the stage stands at the start by its reference, m; by default :func:`switched_on_at`.
 
     Raises:
         ParameterError: the true air gap does not hold the mechanical stop.
@@ -103,7 +103,8 @@ class SimulatedHardware(Hardware):
     def __init__(
         self, parameters: SimulatedParameters, stage: StageParameters, guide: StraightnessMap, x: float | None = None
     ) -> None:
-        x = switched_on_at(stage, guide) if x is None else x
+        zero = parameters.index_shift if parameters.referenced else 0.0
+        x = switched_on_at(stage, guide) if x is None else x + zero
         plant = true_plant(stage, parameters.truth)
         self.period_ns = stage.period_ns
         self.command_timeout_ns = round(parameters.command_timeout * 1e9)
@@ -119,7 +120,7 @@ class SimulatedHardware(Hardware):
         self._advance(self._effective_ns, self._asked, 0, 0, 0.0, x)
         self._reading = plant.encoder.x_reading
         self._motion, self._index = stage.motion, parameters.index + parameters.index_shift
-        self.zero = parameters.index_shift if parameters.referenced else x
+        self.zero = zero if parameters.referenced else x
         if not parameters.referenced:
             self.unreferenced = "the machine has not been homed since it was switched on"
         self._delay_ns = round(stage.drive.delay * self.period_ns)
