@@ -175,6 +175,7 @@ class JudgedMotion:
     late: str = ""  # that commands came later than described, as of `late_commands`
     by_encoder: bool = False  # whether y and the error are the encoder's
     unseen: bool = False  # whether the error is hardly in the encoder's readings
+    zero: float = 0.0  # m, true x where x reads 0; 0 where that is not known
     promise: Callable[[], Promise | None] = lambda: None  # what the description leaves on this motion
     # Of the description, see `UncertaintyParameters`.
     friction: float = 2.0

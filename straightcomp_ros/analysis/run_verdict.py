@@ -30,6 +30,7 @@ from straightcomp_ros.analysis.judgement import Verdict
 from straightcomp_ros.analysis.metrics import force_balance, residual_over
 from straightcomp_ros.analysis.record import Array, ReferenceMap, StrokeRecord, group_means, runs_of
 from straightcomp_ros.control.margins import AS_DESCRIBED
+from straightcomp_ros.model.paced_motion import ARRIVED_M
 from straightcomp_ros.parameters.node_parameters import Values, by_node
 from straightcomp_ros.stage.description import StageParameters
 from straightcomp_ros.straightness.guide_map import StraightnessMap
@@ -94,6 +95,7 @@ def judged_motion(
         count=encoder_count(run.y),
         by_encoder=truth is None,
         unseen=truth is not None and float(seen.std()) < _SEEN * float(truth.std()),
+        zero=0.0 if run.true_x is None else float(np.mean(run.true_x - run.x)),
         fit=_guide_fit(record, reference, straightness, sensor),
         stalls=tuple(stall for stall in stalls if stall.end >= first and stall.start <= last),
         promise=promise,
@@ -396,6 +398,8 @@ def _inaccurate(motion: JudgedMotion) -> str:
 
 
 def _cause(motion: JudgedMotion) -> str:
+    if motion.unseen and abs(motion.zero) > ARRIVED_M:
+        return f"the zero of x is off by {motion.zero * 1e3:+.3f} mm: home again, or straightcomp map align"
     if motion.unseen:
         return "the encoder of y hardly shows it: it is the encoder's own, between its counts (interpolation)"
     return _cable(motion) or _more_friction(motion) or causes.of_error(motion)

@@ -263,6 +263,7 @@ CASES = {
         # An encoder of x whose counts are many samples apart.
         ("inaccurate", "changes slowly", motion(SLOW, x=1e-5 * np.round(60.0 * TIME), promise=promised(0.1))),
         ("inaccurate", "encoder of y hardly shows it", motion(SLOW, promise=promised(0.1), unseen=True)),
+        ("inaccurate", "zero of x is off by -1.5", motion(SLOW, promise=promised(0.1), unseen=True, zero=-0.0015)),
         ("inaccurate", "direction in which the platform moves", motion(DRAGGED, promise=promised(0.1))),
         ("inaccurate", "where the platform reverses", motion(AT_TURNS + NOISE, promise=promised(0.05))),
         ("inaccurate", "place of x.*learning.learn", motion(OF_PLACE, x=THERE_AND_BACK, promise=promised(0.05))),
@@ -450,6 +451,8 @@ def test_a_run_is_judged_from_its_first_to_its_last_motion_by_its_truth_and_the_
     for part, unseen in ((0.4, True), (0.6, False)):
         seen = replace(record, y=record.r + part * (record.y - record.r))
         assert judged_motion(seen, cosine_map, {}).unseen == unseen
+    shifted = replace(record, true_x=record.true_x + 0.002)
+    assert judged_motion(shifted, cosine_map, {}).zero - found.zero == pytest.approx(0.002)
     blind = judged_motion(make_record(truth=False), cosine_map, {})
     assert blind.by_encoder and not blind.unseen and blind.error == pytest.approx(blind.r - blind.y)
 
