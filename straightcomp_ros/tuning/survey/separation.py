@@ -110,7 +110,8 @@ def separated(
         lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False, as_points=True)
         return Form(survey, mean, part.s if known else None, lines)
 
-    of_edge, of_guide = _reversed(x, each) if shift is None else _shifted(x, each, shift, moved)
+    drifts = np.array([_drift(normal, first @ _line(x)[:, 0]), _drift(second, other @ _line(x)[:, 0])])
+    of_edge, of_guide = _reversed(x, each) if shift is None else _shifted(x, each, drifts, shift, moved)
     return Separated(form("guide", of_guide), form("edge", of_edge), x, len(every) - 2 * len(pairs))
 
 
@@ -126,6 +127,14 @@ class _Part(NamedTuple):
 def _line(x: Array, powers: int = 2) -> Array:
     """Orthonormal columns (n, powers) that span the lines at ``x``, or with one power the constants."""
     return np.asarray(np.linalg.qr(np.vander((x - x.mean()) / np.ptp(x), powers))[0])
+
+
+def _drift(survey: Survey, tilts: Array) -> float:
+    """Standard deviation of the mean of the runs' ``tilts``, by what they differ in each direction."""
+    ways = np.array([run.direction for run in survey.runs])
+    apart = [tilts[ways == way] - tilts[ways == way].mean() for way in np.unique(ways)]
+    freedom = tilts.size - len(apart)
+    return float(np.sqrt(sum(one @ one for one in apart) / max(freedom, 1) / tilts.size))
 
 
 def _reversed(x: Array, noises: Array) -> tuple[_Part, _Part]:
@@ -152,8 +161,9 @@ def _reversed(x: Array, noises: Array) -> tuple[_Part, _Part]:
     return part(1.0), part(-1.0)
 
 
-def _shifted(x: Array, noises: Array, shift: float, moved: str) -> tuple[_Part, _Part]:
-    """As :func:`_reversed`, where straightedge or sensor was moved."""
+def _shifted(x: Array, noises: Array, drifts: Array, shift: float, moved: str) -> tuple[_Part, _Part]:
+    """As :func:`_reversed`, where straightedge or sensor was moved: a tilt between the surveys, of which their
+    ``drifts`` (2,) in m are standard deviations, looks like a parabola of the edge to a moved sensor."""
     from scipy.linalg import pinv
 
     shift, aligned_anew = (-shift, False) if moved == "sensor" else (shift, True)
@@ -170,8 +180,11 @@ def _shifted(x: Array, noises: Array, shift: float, moved: str) -> tuple[_Part, 
     edges = smoothest @ difference
     mean = np.hstack([np.eye(x.size), np.eye(x.size)]) - (before + after) @ edges
 
+    # More than noise makes.
+    tilts = np.kron(np.diag(np.sqrt(np.maximum(drifts**2 - noises**2, 0.0))), _line(x)[:, :1])
+
     def part(operator: Array) -> _Part:
-        errors = operator * np.repeat(noises, x.size)
+        errors = np.hstack([operator * np.repeat(noises, x.size), operator @ tilts])
         s = np.sqrt(np.sum(errors**2, axis=1))
         noise = rms(s)
         return _Part(operator.__matmul__, s, Input("noise", noise, x, form=errors / (noise or 1.0)))

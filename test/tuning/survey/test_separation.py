@@ -1,5 +1,6 @@
 """Reversal and shift give the guide and the straightedge apart, and the uncertainty of both."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,18 @@ def test_the_uncertainties_of_guide_and_edge_hold_95_percent_of_what_surveys_wit
     if moved is None:
         # Six pairs of runs: √(s² + s²) / 2 / √6.
         assert found.guide.s[1:-1] == pytest.approx(0.2e-6 / np.sqrt(2.0) / np.sqrt(6.0), rel=0.15)
+
+
+def test_a_straightedge_that_tilts_between_the_runs_makes_the_parabola_of_a_moved_sensor_as_uncertain():
+    random, held = np.random.default_rng(0), []
+    for _ in range(30):
+        tilted = [
+            Survey(tuple(replace(run, deviation=run.deviation + random.normal(0.0, 1e-6) * X) for run in survey.runs))
+            for survey in shifted(random, 0.05e-6, 0.06, "sensor")
+        ]
+        found = separated(*tilted, 0.06, "sensor")
+        held.append(np.abs(found.guide.mean - centred(GUIDE)) <= 1.96 * found.guide.s)
+    assert 0.85 <= np.mean(held) <= 0.99
 
 
 def test_runs_without_a_partner_are_left_out_and_without_any_pair_the_surveys_are_refused():
