@@ -154,9 +154,11 @@ def _build(options: argparse.Namespace) -> None:
     if built.straightness.report.short_of_the_standard:
         notes.print("ISO 230-2 asks for five runs each way: the repeatability is less certain")
     if output is not None or plot is not None:
-        survey = quote(str(output)) if output else "MAP"
-        new = f"straightcomp stage new FOLDER --survey {survey}, or name the map in a stage's stage.guide.file"
-        print_written(*filter(None, (output, plot)), then=new)
+        then = "-o FILE writes the map"
+        if output is not None:
+            new = f"straightcomp stage new FOLDER --survey {quote(str(output))}"
+            then = f"{new}, or name the map in a stage's stage.guide.file"
+        print_written(*filter(None, (output, plot)), then=then)
 
 
 def _built(options: argparse.Namespace, guide: MapParameters) -> tuple[BuiltMap, tuple[Passage, ...]]:
