@@ -61,6 +61,10 @@ def test_each_change_has_an_alarm_and_none_hides_another():
     assert second.begin == BEGIN and second.lasting
     other_way = changes_of_figure(levels() + SPELL - STEP, BOTH)
     assert [one.after > one.before for one in other_way] == [True, False]
+    # Grease beyond the baseline, or a computer that is faster than ever: the rise is over.
+    rise, fall = changes_of_figure(levels() + 8.0 * (DAYS >= 60) - 2.0 * STEP, BOTH)
+    assert not rise.lasting and rise.after > rise.before and (fall.begin, fall.lasting) == (BEGIN, True)
+    assert not change_of(levels() + 8.0 * (DAYS >= 60) - 2.0 * STEP, RISING).lasting
 
 
 def test_an_alarm_knows_nothing_of_later_days():

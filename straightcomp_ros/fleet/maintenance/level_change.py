@@ -34,7 +34,8 @@ THRESHOLD = 25.0
 _MOST_ALIKE = 0.8
 """Largest correlation of a day with the next that is read from a baseline: of four weeks it is uncertain."""
 _BACK = 1.0
-"""A figure is back when the median of its last week is within so many standard deviations of the baseline's median."""
+"""A figure is back when the median of its last week is within so many standard deviations of the baseline's median, or
+on the other side of it."""
 WEEK = 7
 MONTH = 365.25 / 12.0
 _FEWEST_WEEKS = 5
@@ -120,18 +121,18 @@ def _alarms(z: Array, falling: bool) -> list[tuple[int, int | None]]:
     """When the sums passed the threshold, and when the figure was back; from then on they begin at 0 again."""
     alarms: list[tuple[int, int | None]] = []
     high = low = 0.0
-    standing = False
+    side = 0  # 1 while an alarm of a rise stands, -1 of a fall
     for place in range(BASELINE, z.size):
-        if not standing:
+        if not side:
             high = max(0.0, high + z[place] - SLACK)
             low = max(0.0, low - z[place] - SLACK) if falling else 0.0
-            standing = max(high, low) > THRESHOLD
-            if standing:
+            side = int(high > THRESHOLD) - int(low > THRESHOLD)
+            if side:
                 alarms.append((place, None))
-        elif place - alarms[-1][0] >= WEEK and abs(float(np.median(z[place - WEEK + 1 : place + 1]))) < _BACK:
+        elif place - alarms[-1][0] >= WEEK and side * np.median(z[place - WEEK + 1 : place + 1]) < _BACK:
             alarms[-1] = (alarms[-1][0], place)
             high = low = 0.0
-            standing = False
+            side = 0
     return alarms
 
 
