@@ -321,10 +321,9 @@ def strangeness(found: Estimate, described: StageParameters, scale: float = 1.0)
             "to {:.2g}); look at the bearing, or describe the friction that the platform has ('stage.friction')",
         ),
     )
-    for seen, low, high, text in checks:
-        if seen.high < low or seen.low > high:
-            return text.format(seen.value, low, high)
-    return ""
+    # One may look like another: much friction makes the gap seem wide.
+    strange = [one for one in checks if one[0].high < one[1] or one[0].low > one[2]]
+    return "; ".join(text.format(seen.value, low, high) for seen, low, high, text in strange)
 
 
 def facts_found(found: Estimate, stage: StageParameters) -> dict[str, Any]:

@@ -93,6 +93,7 @@ def estimate(poor="", width=2.0, **factors):
         ({"turns": 1.9**0.5}, "accelerates the platform 1.9 times as much as described", ""),
         ({"turns": 0.4**0.5}, "accelerates the platform 0.4 times as much as described", ""),
         ({"coulomb": 10.0}, "friction is 10 times the described one", ""),
+        ({"coulomb": 20.0, "air_gap": 12.0}, "and at the gap; friction is 20 times the described one", ""),
         ({"coulomb": 1.9}, "", ""),
         ({}, "", ""),
     ],
