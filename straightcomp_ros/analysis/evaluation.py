@@ -62,6 +62,8 @@ _SEEN = 0.5
 """Fraction of the travel that must be in the record: a small error of less than that says nothing of the rest."""
 _NAMED = 5
 """Changed parameters that a warning names."""
+_ORDERS = ("driver.override", "driver.blend")
+"""Parameters by which a motion is asked for: what the stage did is in the samples."""
 _TRUTH = {"true_x": "true_x", "true_y": "true_y", "guide": "guide_deviation"}
 """Columns of the truth by those of a record."""
 FOR_EVER = int(np.iinfo(np.int64).max)
@@ -230,7 +232,9 @@ def evaluate_bag(bag: Path, remap: Mapping[str, str] | None = None) -> BagEvalua
         streams |= _sensor(bag, files, remap)
         attachments = attachments_of(files)
         recovery = [one.metadata for file in files for one in file.metadata() if one.name == RECOVERY_METADATA]
-        changed = {name: value for _, values in noted_changes(files) for name, value in values.items()}
+        changed = {
+            name: value for _, values in noted_changes(files) for name, value in values.items() if name not in _ORDERS
+        }
         # What was recovered of a recording that was cut off ends where that does.
         finished = all(file.finished for file in files) and not any(one.get(UNFINISHED_FILES) for one in recovery)
     try:

@@ -32,7 +32,7 @@ _WORDS = {
     "correction_pp": "correction p-p",
     "map_uncertainty_95": "uncertainty of the map (95 %)",
     "map_uncertainty_95_twice_the_runs": "uncertainty of the map with twice the runs (95 %)",
-    "told": "zero and sign are known",
+    "found": "zero and sign are known",
     "lag": "lag, half of the shift between the directions",
     "middle": "middle of the survey, where the shift is",
     "unexplained_before_rms": "difference from the survey RMS, as it is",

@@ -348,7 +348,8 @@ def _disturbed(motion: JudgedMotion) -> Verdict | None:
         words.OSCILLATES,
         f"the loop oscillates at {found.frequency:.0f} Hz {amplitude}; {of_corner}compare "
         "stage.platform.mass, stage.actuator, stage.rate and stage.drive.delay with the machine; straightcomp design "
-        "finds gains that fit a description. A line that is the same with other gains comes from outside",
+        "finds gains that fit a description. A mode that is not described is found by "
+        f"{causes.MEASURE_RESPONSE}; a line that is the same with other gains comes from outside",
     )
 
 

@@ -215,7 +215,7 @@ def _page(content: Mapping[str, Any], pictures: Mapping[str, Path]) -> str:
     signals = [(label, measured[name] * unit) for name, label, unit in _SIGNALS]
     section("Samples and readback", (("figure", "measured"), signals))
     section("The machine as found", *_machine(identification["parameters"], content))
-    sections.append(("What the data cannot tell", blocks.list(identification["untold"])))
+    sections.append(("What the data cannot tell", blocks.list(identification["not_identifiable"])))
     margins = (figures["frequency_response"][name] for name in ("margins", "model_margins"))
     section("Margins", (("margin", "measured", "model"), margin_rows(*margins)))
     for caption, path in pictures.items():

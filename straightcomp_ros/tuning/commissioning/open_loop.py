@@ -359,7 +359,8 @@ def _readback_fault(found: CurrentReadback, stage: StageParameters) -> str:
     if found.delay > latest * TOLERANCE + _DELAY_WITHIN:
         return (
             f"commands act {found.delay:.2f} samples after theirs; allowed by 'stage.drive.delay' and "
-            f"'stage.uncertainty.longest_delay': up to {latest:.2g}"
+            f"'stage.uncertainty.longest_delay': up to {latest:.2g}; look at what buffers them between "
+            "driver and board, or describe the delay"
         )
     return ""
 

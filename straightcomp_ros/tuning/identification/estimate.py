@@ -118,7 +118,7 @@ class Estimate:
             "delay_us": self.path.delay * 1e6,
             "delay_spread_us": [delay * 1e6 for delay in self.path.delay_spread],
             "centre_um": self.centre.to_display() if self.centre else None,
-            "untold": self.not_identifiable,
+            "not_identifiable": self.not_identifiable,
         }
 
     @property

@@ -466,7 +466,7 @@ def _align(options: argparse.Namespace) -> None:
         found = align(straightness, strokes, options.reach * 1e-3)
     except SurveyError as error:
         raise CommandFailed(str(error)) from error
-    figures: dict[str, Any] = {"strokes": len(strokes), "told": found.found, "sign": found.sign}
+    figures: dict[str, Any] = {"strokes": len(strokes), "found": found.found, "sign": found.sign}
     units = {"shift_mm": 1e3, "scale_1e-6": 1e6, "gain": 1.0, "tilt_um_per_m": 1e6, "lag_mm": 1e3}
     for column, factor in units.items():
         one = getattr(found, column.partition("_")[0])

@@ -39,7 +39,7 @@ LIMITS = {"encoder_pp_um": 0.6, "encoder_rms_um": 0.096, "control_rms_step_A": 0
 FIGURES: dict[str, dict[str, Any]] = {
     "connection": {**NONE_LOST, **SHOWN, "latency_us": LATENCY, "latency_histogram": [[355.3, 60000]]},
     "signs_and_scales": {"readback_gain": 1.0125, "readback_offset_A": 0.0015},
-    "identification": {"parameters": {}, "untold": ["Forces have no scale of their own.", "Friction < 2 N."]},
+    "identification": {"parameters": {}, "not_identifiable": ["Forces have no scale of their own.", "Friction < 2 N."]},
     "design": {"budget": [{"cause": "as described", "pp_um": 0.19, "rms_um": 0.036}]},
     "frequency_response": {"margins": MARGINS, "model_margins": {}},
     "acceptance": {**ACCEPTED, **NONE_LOST, "lost_commands": 3, "timing": TIMING, "limits": LIMITS},

@@ -98,7 +98,7 @@ def test_after_a_tolerance_that_is_not_kept_the_next_step_is_not_the_same_comman
 def as_described(work):
     """An identification that finds the machine as it is described, and what stays open of it."""
     facts = {f"uncertainty.{name}": open_ for name, open_ in STAYS_OPEN.items()}
-    return Outcome(True, "as described", {"parameters": {}, "untold": []}, stage=facts)
+    return Outcome(True, "as described", {"parameters": {}, "not_identifiable": []}, stage=facts)
 
 
 ROUGHLY = {"mass": 0.8, "force": 1.2, "air_gap": 0.75, "friction": 0.5, "amplifier": 1.5}

@@ -157,7 +157,7 @@ def assert_found(parameters, plant):
 
 FIGURES = (
     "samples samples_in_bag duration_s prediction_error_um prediction_error_ratio amplifier_bandwidth_Hz "
-    "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters untold"
+    "amplifier_bandwidth_deviation_Hz delay_us delay_spread_us centre_um parameters not_identifiable"
 )
 OF_A_PARAMETER = "value low high unit known poorly_determined hardly_told_apart_from"
 
