@@ -255,8 +255,10 @@ def map_input(straightness: StraightnessMap | None, seen: bool) -> Input:
     """By the standard deviation of the map, RMS over x."""
     if straightness is None:
         return Input("map", None, np.empty(0), seen)
-    deviation = rms(straightness.noise.deviation)
-    return Input("map", deviation, independent_points(straightness), seen)
+    points = independent_points(straightness)
+    if points.size > POINTS:  # no curve has more
+        points = np.linspace(*straightness.span, POINTS)
+    return Input("map", rms(straightness.noise.deviation), points, seen)
 
 
 def independent_points(straightness: StraightnessMap) -> Array:

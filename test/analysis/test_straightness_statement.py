@@ -155,6 +155,9 @@ def test_a_smoothed_map_has_as_many_independent_points_as_its_smaller_error_leav
         ratio = of_map.points.size / of_map.uncertainty**2 / (x.size / one.noise.point**2)
         assert ratio == pytest.approx(1.0, rel=0.05)
     assert map_input(smooth, True).points.size < 0.5 * x.size and map_input(rough, True).points.size == x.size
+    # No curve has more points at which errors could differ, and two hundred thousand would take minutes.
+    many = StraightnessMap(one_run(np.linspace(0.0, 1.76, 9001), np.zeros(9001)), MapParameters(smooth="none"))
+    assert map_input(many, True).points.size == statement.POINTS
 
 
 def test_pieces_of_a_way_are_equal_and_their_mean_curve_is_that_of_all_strokes():
