@@ -5,6 +5,7 @@ It calls what the nodes call, in the order of `lockstep`, so that both give the 
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -30,7 +31,7 @@ _COLUMNS = ("x", "y", "r", "current", "true_x", "true_y", "guide")
 
 
 class Simulation:
-    """Cycles of the stage, one after the other, under the parameters of the nodes.
+    """Cycles of the stage, one after the other, under the parameters of the nodes, once the machine has been homed.
 
     Args:
         law: replaces the law that the parameters name.
@@ -62,7 +63,8 @@ class Simulation:
         self.law = control.law
         self._trajectory, self._start_ns = motion or (parameters.trajectory, 0)
         first = self._trajectory.waypoints[0].position
-        hardware = SimulatedHardware(driver.simulated, driver.stage, driver.guide(), first)
+        homed = replace(driver.simulated, referenced=True)
+        hardware = SimulatedHardware(homed, driver.stage, driver.guide(), first)
         self._period_ns = hardware.period_ns
         self._hardware: Hardware = wiring(hardware) if wiring else hardware
         followed = feedforward.stage

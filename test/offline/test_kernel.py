@@ -73,7 +73,10 @@ CASES = {
     **{f"friction {model}": case(driver=contact) for model, contact in CONTACTS.items()},
     "disturbed": case("smc_observer", {"motion.start": 0.1}, driver=DISTURBED),
     "fast ramps": case("smc_observer", {"motion.stroke": 0.3, "motion.acceleration": 10.0}),
-    "another zero of x": case(stage={"motion.stroke": 0.3}, driver={"simulated.index_shift": 0.003}),
+    "another zero of x": case(
+        stage={"motion.start": 0.1, "motion.stroke": 0.3},
+        driver={"simulated.index_shift": 0.003, "simulated.referenced": False},
+    ),
     "begins elsewhere": case(stage={"motion.start": 0.4}, feedforward={"stage.motion.speed": 0.01}),
 }
 
