@@ -154,7 +154,7 @@ def _position(index: int) -> tuple[float, float]:
 
 def _frames(wire: Wire, index: int, stamp_ns: int) -> Iterator[Frame]:
     x, y = _position(index)
-    counter, fault = index % wire.number_modulus, wire.fault_codes[BoardFault.NONE]
+    counter, fault = index % (wire.number_modulus or 2**32), wire.fault_codes[BoardFault.NONE]
     for frames in wire.reports.values():
         if index % frames.every == 0:
             alive = index // frames.every % frames.alive_modulus
