@@ -139,6 +139,7 @@ driver | hardware=can stage.actuator.current_limit=50.0 | stage.actuator.current
 driver | lockstep=true simulated.referenced=false | simulated.referenced | lockstep
 driver | can.log=frames.txt | can.log |
 driver | can.options=bitrate | can.options |
+driver | can.options=channel=can1 | can.options | can.channel
 driver | hardware=can can.wire.x.message=pos | can.wire.x.message | can.dbc
 driver | stage.platform.stop=0.002 | stage.platform.stop | stage.actuator.air_gap
 driver | stage.friction.static=0.1 | stage.friction.static | stage.friction.coulomb
@@ -163,7 +164,7 @@ SETS = {**NODE_PARAMETERS, "uncertainty": UncertaintyParameters}
 def test_what_is_refused_together_with_other_parameters_is_named_as_it_is_set(case):
     node, given, name, others = (cell.strip() for cell in case.split("|"))
     with pytest.raises(ParameterError) as refused:
-        from_mapping(SETS[node], {one: load_yaml(text) for one, text in (word.split("=") for word in given.split())})
+        from_mapping(SETS[node], {one: load_yaml(text) for one, text in (word.split("=", 1) for word in given.split())})
     message = str(refused.value)
     assert (message.startswith(f"parameter '{name}': ") and "allowed" in message) or "must" in message
     known = {declaration.name for declaration in declarations(SETS[node])}
