@@ -176,13 +176,10 @@ class SimulatedHardware(Hardware):
             self.state, self.fault = State.OFF, None
 
     def move(self, trajectory: Trajectory, start_ns: int) -> None:
-        if self.zero:
-            shifted = [point._replace(position=point.position + self.zero) for point in trajectory.waypoints]
-            trajectory = Trajectory(shifted)
         if self.motion.moving:
             # A sample that is due, but not taken yet, is of the motion that there was.
             start_ns = min(start_ns, self._next_sample_ns)
-        self.motion.begin(trajectory, start_ns)
+        self.motion.begin(trajectory.shifted(self.zero), start_ns)
         if self.unreferenced == _HOMING:
             self.unreferenced = _HOMING_ENDED
 

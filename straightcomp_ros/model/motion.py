@@ -201,6 +201,10 @@ class Trajectory:
         trajectory._take(times, positions, velocities)
         return trajectory
 
+    def shifted(self, by: float) -> "Trajectory":
+        """The same motion at positions that are ``by`` (m) larger."""
+        return Trajectory.from_columns(self.times, self.positions + by, self.velocities)
+
     def _take(self, times: NDArray[np.int64], positions: NDArray[np.float64], velocities: NDArray[np.float64]) -> None:
         if not times.size:
             raise ValueError("stage trajectory has no points")

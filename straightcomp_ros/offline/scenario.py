@@ -254,8 +254,8 @@ class Scenario:
         if stamps is None:
             stamps = np.arange(self.samples, dtype=np.int64) * self.description.period_ns
         straightness = map_of(survey or self.survey, self.followed.guide)
-        asked, zero = self.trajectory, self.driver.simulated.index_shift
-        true_x = Trajectory.from_columns(asked.times, asked.positions + zero, asked.velocities).at(stamps)
+        zero = self.driver.simulated.index_shift
+        true_x = self.trajectory.shifted(zero).at(stamps)
         x = readings(self.driver.stage.encoder.x_resolution, true_x - zero)
         tracking = self.followed.tracking(self.feedforward, straightness)
         found = references(straightness, tracking, self.followed, stamps, x)

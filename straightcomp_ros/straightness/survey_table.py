@@ -57,13 +57,9 @@ def numbered_lines(path: Path, comment: str = "(?!)") -> Iterator[tuple[int, str
         except UnicodeDecodeError as error:
             failed = error
     else:
-        raise SurveyError(
-            f"survey {path}: byte {failed.start} is not UTF-8; save it as UTF-8 text, a spreadsheet as CSV"
-        ) from failed
+        raise SurveyError(f"survey {path}: byte {failed.start} is not UTF-8; {_SAVE_IT}") from failed
     if "\0" in text:
-        raise SurveyError(
-            f"survey {path}: character {text.index(chr(0))} is NUL; save it as UTF-8 text, a spreadsheet as CSV"
-        )
+        raise SurveyError(f"survey {path}: character {text.index(chr(0))} is NUL; {_SAVE_IT}")
     for number, raw in enumerate(text.splitlines(), start=1):
         if len(raw) > _LONGEST_LINE:
             raise SurveyError(f"survey {path}, line {number}: {len(raw)} characters; allowed: <= {_LONGEST_LINE}")
@@ -125,6 +121,7 @@ _SINGLE = ("run", "direction", TIME_COLUMN)
 _DELIMITERS = "\t;,"
 _SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 """Excel's own first line, which names the delimiter."""
+_SAVE_IT = "save it as UTF-8 text, a spreadsheet as CSV"
 _LONGEST_LINE = 100_000
 """Characters; the csv module reads cells of some more."""
 _COMMENT = re.compile(r'\s*(#|"#[^"]*"[\s;,]*$)')

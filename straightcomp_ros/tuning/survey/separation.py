@@ -110,8 +110,12 @@ def separated(
         lines = stated("before", pairs[0][1], [(x, x, mean)], [source], repeats=False, as_points=True)
         return Form(survey, mean, part.s if known else None, lines)
 
-    drifts = np.array([_drift(normal, first @ _line(x)[:, 0]), _drift(second, other @ _line(x)[:, 0])])
-    of_edge, of_guide = _reversed(x, each) if shift is None else _shifted(x, each, drifts, shift, moved)
+    if shift is None:
+        of_edge, of_guide = _reversed(x, each)
+    else:
+        tilt = _line(x)[:, 0]
+        drifts = np.array([_drift(normal, first @ tilt), _drift(second, other @ tilt)])
+        of_edge, of_guide = _shifted(x, each, drifts, shift, moved)
     return Separated(form("guide", of_guide), form("edge", of_edge), x, len(every) - 2 * len(pairs))
 
 
